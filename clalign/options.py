@@ -1,0 +1,310 @@
+"""Every number that a user may change, in frozen groups checked on construction.
+
+`Options()` is the default preset; `Options.preset("paper")` is the method as printed. A single value is
+changed with `options.replace({"alignment.weight": 50})`, which is what the command line's ``--set`` calls.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from .errors import OptionError
+
+Metric = Literal["euclidean", "regularized", "power", "heat-kernel", "auto"]
+Weights = Literal["area", "uniform"]
+Band = Literal["half", "full", "diagonal", "none"]
+Orientation = Literal["preserving", "reversing", "any"]
+Readout = Literal["aligned", "functional", "argmax"]
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise OptionError(message)
+
+
+def _positive(group: str, options: Any, *names: str) -> None:
+    for name in names:
+        value = getattr(options, name)
+        _require(value > 0 and math.isfinite(value), f"{group}.{name} must be a positive number, got {value!r}")
+
+
+def _not_negative(group: str, options: Any, *names: str) -> None:
+    for name in names:
+        value = getattr(options, name)
+        _require(value >= 0 and math.isfinite(value), f"{group}.{name} must not be negative, got {value!r}")
+
+
+def _check_choices(group: str, options: Any) -> None:
+    for name, hint in get_type_hints(type(options)).items():
+        if get_origin(hint) is Literal:
+            allowed = get_args(hint)
+            value = getattr(options, name)
+            _require(value in allowed, f"{group}.{name} must be one of {', '.join(allowed)}; got {value!r}")
+
+
+@dataclass(frozen=True)
+class SpectrumOptions:
+    """Eigenfunctions of both Laplace–Beltrami operators.
+
+    basis : number k of LBO eigenfunctions in the functional map C.
+    refinement : number of LBO eigenfunctions computed in all, for spectral up-sampling (at least `basis`).
+    descriptors : number d of scale-invariant eigenfunctions that R aligns.
+    metric : conformal factor of the scale-invariant operator: "power" |K|^xi (Eq. 29), "regularized"
+        sqrt(K² + epsilon²) (Eq. 7), "euclidean" 1 (Eq. 3), "heat-kernel", or "auto" (xi chosen per pair).
+    xi : exponent of "power", in (0, 1].
+    clamp : |K| is clamped to its [clamp, 1 - clamp] quantiles before the power, in [0, 0.5).
+    epsilon : constant of "regularized", in units of 1/area.
+    solver : "block" (shift-invert block Lanczos, written here) or "arpack" (the reference).
+    """
+
+    basis: int = 120
+    refinement: int = 200
+    descriptors: int = 352
+    metric: Metric = "power"
+    xi: float = 0.3
+    clamp: float = 0.02
+    epsilon: float = 1.0
+    solver: Literal["block", "arpack"] = "block"
+
+    def __post_init__(self) -> None:
+        _check_choices("spectrum", self)
+        _positive("spectrum", self, "basis", "descriptors", "epsilon", "refinement")
+        _require(0 < self.xi <= 1, f"spectrum.xi must lie in (0, 1], got {self.xi!r}")
+        _require(0 <= self.clamp < 0.5, f"spectrum.clamp must lie in [0, 0.5), got {self.clamp!r}")
+
+
+@dataclass(frozen=True)
+class GeodesicOptions:
+    """Geodesic distances.
+
+    factor_samples : N, the farthest-point samples whose rows give the low-rank factors of D (rank N / 2).
+    search_samples : farthest-point samples whose mutual distances score the candidates of the search.
+    dense_below : meshes with at most this many vertices may use the dense mode (D and P stored).
+    """
+
+    factor_samples: int = 100
+    search_samples: int = 1000
+    dense_below: int = 1500
+
+    def __post_init__(self) -> None:
+        _positive("geodesics", self, "factor_samples", "search_samples")
+        _not_negative("geodesics", self, "dense_below")
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Search for the isometry that the alignment starts from.
+
+    method : "tree" (oriented unfolding and branching), "signs" (plain sign enumeration) or "random" (R starts as a
+        random ±1 diagonal, as the paper does; no search).
+    orientation : "preserving" rejects mirrored maps, "reversing" keeps only those, "any" takes the better.
+    alternatives : how many of the best different maps are kept in the result beside the chosen one.
+    """
+
+    method: Literal["tree", "signs", "random"] = "tree"
+    orientation: Orientation = "preserving"
+    alternatives: int = 0
+
+    def __post_init__(self) -> None:
+        _check_choices("search", self)
+        _not_negative("search", self, "alternatives")
+
+
+@dataclass(frozen=True)
+class AlignmentOptions:
+    """The optimisation of R.
+
+    weight : lambda of Eq. 24, the weight of l_unsup beside l_align.
+    band_slope, band_offset : a and b of the funnel W_i = ceil(i / a) + b (Eq. 25).
+    band : the funnel read as "half" width (|i - j| <= W_i), "full" width, "diagonal" only, or "none" (dense R).
+    sides : "both" aligns with R and R^T (Eq. 20), "one" with a single C~ on the source (Eq. 18).
+    cycle : add the cycle term (Eq. 32).
+    unitarity : weight of l_uni (Eq. 23) as a penalty; 0 only reports it.
+    denominator : "frozen" as in the paper, or "differentiated".
+    weights : "area" or the paper's "uniform" weights in the soft map and the losses.
+    distances : "factors" (low rank) or "dense" (small meshes only).
+    samples : vertices of the source on which the losses are evaluated (0: all).
+    rounds, iterations : at most so many rounds, each of at most so many L-BFGS evaluations.
+    """
+
+    weight: float = 200.0
+    band_slope: float = 2.5
+    band_offset: int = 2
+    band: Band = "half"
+    sides: Literal["both", "one"] = "both"
+    cycle: bool = False
+    unitarity: float = 0.0
+    denominator: Literal["frozen", "differentiated"] = "frozen"
+    weights: Weights = "area"
+    distances: Literal["factors", "dense"] = "factors"
+    samples: int = 2000
+    rounds: int = 5
+    iterations: int = 30
+
+    def __post_init__(self) -> None:
+        _check_choices("alignment", self)
+        _positive("alignment", self, "band_slope")
+        _not_negative(
+            "alignment", self, "weight", "band_offset", "unitarity", "samples", "rounds", "iterations"
+        )
+
+
+@dataclass(frozen=True)
+class ReadoutOptions:
+    """From aligned eigenfunctions to vertices.
+
+    readout : "aligned" (nearest neighbour among aligned eigenfunctions), "functional" (nearest neighbour of C phi
+        among the psi) or "argmax" (Eq. 28).
+    refine : spectral up-sampling before the alignment ("upsample"), with wavelet filters ("wavelet") or "none".
+    steps : both-way steps in the scale-invariant basis after the alignment.
+    subvertex : also give every match as a point in a face.
+    """
+
+    readout: Readout = "aligned"
+    refine: Literal["none", "upsample", "wavelet"] = "upsample"
+    steps: int = 2
+    subvertex: bool = False
+
+    def __post_init__(self) -> None:
+        _check_choices("readout", self)
+        _not_negative("readout", self, "steps")
+
+
+@dataclass(frozen=True)
+class EngineOptions:
+    """Where the arithmetic runs.
+
+    backend : "opencl" or "reference" (numpy, float64).
+    device : device specification such as "cpu", "gpu", "0:1" or part of a name; empty picks one.
+    precision : "single" or "double" (where the device has it).
+    memory : bytes that the process may use at most (0: what the machine has).
+    """
+
+    backend: Literal["opencl", "reference"] = "opencl"
+    device: str = ""
+    precision: Literal["single", "double"] = "single"
+    memory: int = 0
+
+    def __post_init__(self) -> None:
+        _check_choices("engine", self)
+        _not_negative("engine", self, "memory")
+
+
+@dataclass(frozen=True)
+class Options:
+    """All groups together. See each group for its values; `seed` fixes everything that is drawn."""
+
+    spectrum: SpectrumOptions = field(default_factory=SpectrumOptions)
+    geodesics: GeodesicOptions = field(default_factory=GeodesicOptions)
+    search: SearchOptions = field(default_factory=SearchOptions)
+    alignment: AlignmentOptions = field(default_factory=AlignmentOptions)
+    readout: ReadoutOptions = field(default_factory=ReadoutOptions)
+    engine: EngineOptions = field(default_factory=EngineOptions)
+    seed: int = 0
+
+    @staticmethod
+    def preset(name: str) -> Options:
+        """Return the options of a preset: "default", "paper" or "fast".
+
+        Raises
+        ------
+        OptionError
+            No such preset.
+        """
+        if name not in PRESETS:
+            raise OptionError(f"unknown preset {name!r}; there are {', '.join(PRESETS)}")
+        return Options().replace(PRESETS[name])
+
+    def replace(self, changes: Mapping[str, Any]) -> Options:
+        """Return a copy with some values changed.
+
+        Parameters
+        ----------
+        changes : mapping from "group.name" (or "seed") to a value; text is converted to the value's type.
+
+        Raises
+        ------
+        OptionError
+            Unknown name, or a value that cannot be converted or lies outside its range.
+        """
+        groups: dict[str, dict[str, Any]] = {}
+        top: dict[str, Any] = {}
+        for key, value in changes.items():
+            group_name, _, name = key.partition(".")
+            if not name:
+                top[key] = _converted(self, key, key, value)
+                continue
+            group = getattr(self, group_name, None)
+            if not dataclasses.is_dataclass(group):
+                raise OptionError(f"unknown option group {group_name!r} in {key!r}; there are {_group_names()}")
+            groups.setdefault(group_name, {})[name] = _converted(group, name, key, value)
+        for group_name, values in groups.items():
+            top[group_name] = dataclasses.replace(getattr(self, group_name), **values)
+        return dataclasses.replace(self, **top)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return nested plain values, as written to ``result.json``."""
+        return dataclasses.asdict(self)
+
+    @staticmethod
+    def from_dict(values: Mapping[str, Any]) -> Options:
+        """Inverse of `as_dict`; unknown names raise `OptionError`."""
+        flat: dict[str, Any] = {}
+        for key, value in values.items():
+            if isinstance(value, Mapping):
+                flat.update({f"{key}.{name}": inner for name, inner in value.items()})
+            else:
+                flat[key] = value
+        return Options().replace(flat)
+
+
+def _group_names() -> str:
+    return ", ".join(f.name for f in dataclasses.fields(Options) if f.name != "seed")
+
+
+def _converted(group: Any, name: str, key: str, value: Any) -> Any:
+    names = [f.name for f in dataclasses.fields(group)]
+    current = getattr(group, name, None)
+    if name not in names or dataclasses.is_dataclass(current):
+        raise OptionError(f"unknown option {key!r}; there are {', '.join(names)}")
+    kind = type(current)
+    if kind is bool and isinstance(value, str):
+        words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+        if value.lower() not in words:
+            raise OptionError(f"{key} must be true or false, got {value!r}")
+        return words[value.lower()]
+    if kind is bool and not isinstance(value, bool):
+        raise OptionError(f"{key} must be true or false, got {value!r}")
+    try:
+        converted = kind(value)
+    except (TypeError, ValueError) as error:
+        raise OptionError(f"{key} must be {kind.__name__}, got {value!r}") from error
+    if kind is int and not isinstance(value, str) and converted != value:
+        raise OptionError(f"{key} must be a whole number, got {value!r}")
+    return converted
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "fast": {
+        "spectrum.descriptors": 200,
+        "geodesics.search_samples": 500,
+        "alignment.rounds": 0,
+        "readout.steps": 2,
+    },
+    "paper": {
+        "spectrum.refinement": 120,
+        "search.method": "random",
+        "alignment.weights": "uniform",
+        "alignment.samples": 0,
+        "alignment.rounds": 20,
+        "alignment.iterations": 50,
+        "readout.refine": "none",
+        "readout.steps": 0,
+        "readout.readout": "argmax",
+    },
+}
