@@ -1,0 +1,29 @@
+"""The arithmetic: one protocol, a numpy reference and OpenCL kernels behind it."""
+
+from __future__ import annotations
+
+from ..options import EngineOptions
+from .backend import Array, Backend, Band
+from .reference import Reference
+
+__all__ = ["Array", "Backend", "Band", "Reference", "open_backend"]
+
+
+def open_backend(options: EngineOptions | None = None) -> Backend:
+    """Open the backend that the options name.
+
+    Parameters
+    ----------
+    options : backend, device, precision and memory limit; None takes the defaults.
+
+    Raises
+    ------
+    DeviceError
+        No usable OpenCL device, or the one asked for is not there; the message lists what is.
+    """
+    chosen = EngineOptions() if options is None else options
+    if chosen.backend == "reference":
+        return Reference()
+    from .kernels import open_kernels
+
+    return open_kernels(chosen)

@@ -1,0 +1,33 @@
+"""The numpy backend: the executable specification that every kernel is tested against.
+
+`Reference()` works in float64. `Reference(numpy.float32)` does every step in single precision, which gives the error that
+a kernel is allowed twice of.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .reference_arrays import ReferenceArrays
+from .reference_losses import ReferenceLosses
+from .reference_search import ReferenceSearches
+from .reference_soft import ReferenceSoftMaps
+
+
+class Reference(ReferenceArrays, ReferenceSoftMaps, ReferenceLosses, ReferenceSearches):
+    """All functions of `clalign.engine.backend.Backend` in numpy.
+
+    Parameters
+    ----------
+    dtype : numpy.float64 or numpy.float32, the precision of every step.
+    """
+
+    def __init__(self, dtype: Any = np.float64) -> None:
+        self.dtype = np.dtype(dtype)
+
+    @property
+    def name(self) -> str:
+        """Short description of where the arithmetic runs."""
+        return f"numpy {np.__version__}, {self.dtype.name}"
