@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..options import EngineOptions
+from clalign.options import EngineOptions
 from .backend import Array, Backend, Band
 from .reference import Reference
 

@@ -1,9 +1,8 @@
 """What a backend can compute: the protocol that the numpy reference and the OpenCL kernels both follow.
 
 Arrays are the backend's own, row-major, of the backend's real type or int32. Both kinds have ``shape``, ``dtype`` and
-``reshape``. With ``out`` given a function writes there and allocates nothing that outlives the call; it returns ``out``.
-Shapes are written in the docstrings; symbols are those of the project: n vertices, k basis functions, d descriptors,
-r columns of a low-rank distance factor.
+``reshape``. With ``out`` given a function writes there and returns it. Shapes are written in the docstrings; symbols are
+those of the project: n vertices, k basis functions, d descriptors, r columns of a low-rank distance factor.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import Any, Literal, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError
+from clalign.errors import InputError
 
 Array: TypeAlias = Any
 """An array of a backend: `numpy.ndarray` for the reference, `clalign.engine.device.DeviceArray` for OpenCL."""
@@ -92,7 +91,7 @@ class Arrays(Protocol):
         """Download; waits for whatever computes the array."""
 
     def add(self, a: Array, b: Array, *, scale_a: float = 1.0, scale_b: float = 1.0, out: Array = None) -> Array:
-        """scale_a · a + scale_b · b for arrays of one shape; `out` may be `a` or `b`."""
+        """Return scale_a · a + scale_b · b for arrays of one shape; `out` may be `a` or `b`."""
 
     def scale_rows(self, a: Array, w: Array, *, out: Array = None) -> Array:
         """diag(w) a for a (n, k) and w (n,); `out` may be `a`."""
@@ -118,7 +117,7 @@ class Products(Protocol):
         accumulate: bool = False,
         out: Array = None,
     ) -> Array:
-        """scale · op(a) op(b), added to `out` when `accumulate` is set; op(a) is (m, q), op(b) is (q, n)."""
+        """Return scale · op(a) op(b), added to `out` when `accumulate` is set; op(a) is (m, q), op(b) is (q, n)."""
 
     def band_expand(self, values: Array, band: Band, *, out: Array = None) -> Array:
         """Packed values (band.count,) as a (d, d) matrix with zeros outside the band."""
@@ -127,13 +126,13 @@ class Products(Protocol):
         """Entries of a (d, d) matrix inside the band, packed: the adjoint of `band_expand`."""
 
     def banded_product(self, a: Array, r: Array, band: Band, *, transpose_r: bool = False, out: Array = None) -> Array:
-        """a R or a Rᵀ for a (m, d) and R (d, d) zero outside the band; tiles of zeros are skipped."""
+        """Return a R or a Rᵀ for a (m, d) and R (d, d) zero outside the band; tiles of zeros are skipped."""
 
     def weighted_gram(self, a: Array, b: Array, w: Array = None, *, out: Array = None) -> Array:
         """aᵀ diag(w) b for a (n, p), b (n, q), w (n,) or None: (p, q)."""
 
     def solve_right(self, gram: Array, rhs: Array, ridge: float, *, out: Array = None) -> Array:
-        """rhs (gram + ridge · trace(gram) / k · I)⁻¹ for gram (k, k) positive definite and rhs (m, k), by Cholesky.
+        """Return rhs (gram + ridge · trace(gram) / k · I)⁻¹ by Cholesky; gram (k, k) positive definite, rhs (m, k).
 
         A gram that is not positive definite gives NaN (no host synchronisation happens here to find out).
         """
@@ -142,8 +141,8 @@ class Products(Protocol):
 class SoftMaps(Protocol):
     """The soft correspondence as a quadratic kernel, and its gradients.
 
-    ``packed`` holds the pairs (a, b), a <= b, in the order of ``numpy.triu_indices``, off-diagonal pairs doubled, so that
-    c M_r cᵀ = vech(c cᵀ) · packed[:, r].
+    ``packed`` holds the pairs (a, b), a <= b, in the order of ``numpy.triu_indices``, off-diagonal pairs doubled, so
+    that c M_r cᵀ = vech(c cᵀ) · packed[:, r].
     """
 
     def packed_moments(self, psi: Array, w: Array, u: Array, *, out: Array = None) -> Array:
@@ -181,7 +180,7 @@ class SoftMaps(Protocol):
 
 
 class Losses(Protocol):
-    """The two terms of the objective with their gradients. Scalars come as arrays of one element; ``float`` reads them."""
+    """The two terms of the objective with their gradients. Scalars come as arrays of shape (); ``float`` reads them."""
 
     def distortion(
         self,
@@ -196,7 +195,8 @@ class Losses(Protocol):
         """Eq. 22 from low-rank distances: l = Σ_jl w_j w_l (U T_X Uᵀ − Z T_Y Zᵀ)²_jl and dl/dZ (n, r).
 
         U = left_x (n, r_x) must satisfy Uᵀ diag(w) U = I; T_X = core_x and T_Y = core_y are symmetric. With B = UᵀΩZ,
-        Z⊥ = Z − U B and G = Z⊥ᵀΩZ⊥, l = |T_X − B T_Y Bᵀ|² + 2 tr(B T_Y G T_Y Bᵀ) + tr(T_Y G T_Y G), which does not cancel.
+        Z⊥ = Z − U B and G = Z⊥ᵀΩZ⊥, l = |T_X − B T_Y Bᵀ|² + 2 tr(B T_Y G T_Y Bᵀ) + tr(T_Y G T_Y G): no large terms
+        cancel.
         """
 
     def alignment(

@@ -1,7 +1,7 @@
 """The numpy backend: the executable specification that every kernel is tested against.
 
-`Reference()` works in float64. `Reference(numpy.float32)` does every step in single precision, which gives the error that
-a kernel is allowed twice of.
+`Reference()` works in float64. `Reference(numpy.float32)` does every step in single precision: a kernel may err at most
+twice as much.
 """
 
 from __future__ import annotations

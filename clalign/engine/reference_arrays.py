@@ -42,7 +42,7 @@ class ReferenceArrays:
         return np.array(array)
 
     def add(self, a: Array, b: Array, *, scale_a: float = 1.0, scale_b: float = 1.0, out: Array | None = None) -> Array:
-        """scale_a · a + scale_b · b."""
+        """Return scale_a · a + scale_b · b."""
         return stored(self.dtype.type(scale_a) * a + self.dtype.type(scale_b) * b, out)
 
     def scale_rows(self, a: Array, w: Array, *, out: Array | None = None) -> Array:
@@ -69,7 +69,7 @@ class ReferenceArrays:
         accumulate: bool = False,
         out: Array | None = None,
     ) -> Array:
-        """scale · op(a) op(b), added to `out` when `accumulate` is set."""
+        """Return scale · op(a) op(b), added to `out` when `accumulate` is set."""
         value = self.dtype.type(scale) * ((a.T if transpose_a else a) @ (b.T if transpose_b else b))
         return stored(out + value if accumulate and out is not None else value, out)
 
@@ -86,7 +86,7 @@ class ReferenceArrays:
     def banded_product(
         self, a: Array, r: Array, band: Band, *, transpose_r: bool = False, out: Array | None = None
     ) -> Array:
-        """a R or a Rᵀ; entries of R outside the band are not read."""
+        """Return a R or a Rᵀ; entries of R outside the band are not read."""
         inside = self.band_expand(self.band_gather(r, band), band)
         return stored(a @ (inside.T if transpose_r else inside), out)
 
@@ -95,7 +95,7 @@ class ReferenceArrays:
         return stored(a.T @ (b if w is None else w[:, None] * b), out)
 
     def solve_right(self, gram: Array, rhs: Array, ridge: float, *, out: Array | None = None) -> Array:
-        """rhs (gram + ridge · trace(gram) / k · I)⁻¹; NaN where gram is not positive definite."""
+        """Return rhs (gram + ridge · trace(gram) / k · I)⁻¹; NaN where gram is not positive definite."""
         size = gram.shape[0]
         shift = self.dtype.type(ridge) * np.trace(gram) / self.dtype.type(size)
         try:

@@ -38,7 +38,7 @@ class ReferenceLosses:
         core_full = core_y @ (inside.T @ inside + gram)
         along = (core_x @ inside - inside @ core_full) @ core_y
         slope = left_x @ along - outside @ (core_full @ core_y)
-        return stored(np.reshape(value, 1), out and out[0]), stored(-4 * w[:, None] * slope, out and out[1])
+        return stored(value, out and out[0]), stored(-4 * w[:, None] * slope, out and out[1])
 
     def alignment(
         self,
@@ -62,7 +62,7 @@ class ReferenceLosses:
             denominator = np.sum(r * right)
             numerator = np.sum(r * left) + denominator - 2 * np.sum(r * cross)
             gradients = (2 * (left + right - cross - r.T @ g_xy), 2 * right)
-        values = (np.reshape(numerator, 1), np.reshape(denominator, 1), *gradients)
+        values = (np.asarray(numerator), np.asarray(denominator), *gradients)
         if out is None:
             return values
         return (

@@ -89,7 +89,7 @@ class ReferenceSoftMaps:
         for rows in blocks(c.shape[0], first.size):
             full = np.zeros((gradient[rows].shape[0], c.shape[1], c.shape[1]), dtype=c.dtype)
             full[:, first, second] = dz[rows] @ packed.T
-            gradient[rows] = np.matvec(full, c[rows]) + np.vecmat(c[rows], full)
+            gradient[rows] = ((full + full.transpose(0, 2, 1)) @ c[rows, :, None])[:, :, 0]
         removed = np.sum(dz * z, axis=1)[:, None] * (c if normal is None else c @ normal)
         return stored((gradient - 2 * removed) * reciprocal(s)[:, None], out)
 
