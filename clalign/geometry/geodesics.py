@@ -1,0 +1,173 @@
+"""Geodesic distances: rows from farthest-point samples, low-rank factors, and the dense matrix of small meshes."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from ..errors import MeshError
+from .mesh import Mesh
+from .operators import lumped_mass
+
+logger = logging.getLogger(__name__)
+
+#: Bound of (samples × vertices): a row of the heat method takes about half a microsecond a vertex on one core.
+ROW_VERTICES = 20_000_000
+
+
+@dataclass(frozen=True)
+class Geodesics:
+    """Distances from farthest-point samples, in the length unit of the mesh.
+
+    Attributes
+    ----------
+    samples : (S,) int64, vertices in farthest-point order: the first s of them are a farthest-point sampling too.
+    distances : (S, S) float64 between samples, symmetric with zero diagonal.
+    rows : (N, n) float32 from the first N samples to all vertices.
+    weights : (S,) float64, share of the area that is closest to each sample; sums to 1.
+    """
+
+    samples: NDArray[np.int64]
+    distances: NDArray[np.float64]
+    rows: NDArray[np.float32]
+    weights: NDArray[np.float64]
+
+    def sample_weights(self, count: int) -> NDArray[np.float64]:
+        """Return the area shares of the first `count` samples, those of later samples given to the nearest of them."""
+        nearest = self.distances[:count].argmin(axis=0)
+        return np.bincount(nearest, weights=self.weights, minlength=count)
+
+
+@dataclass(frozen=True)
+class DistanceFactors:
+    """All geodesic distances of a shape in low rank, D ≈ U T Uᵀ.
+
+    Attributes
+    ----------
+    left : (n, r) float64, U, orthonormal in the vertex areas.
+    core : (r, r) float64, T, symmetric.
+    """
+
+    left: NDArray[np.float64]
+    core: NDArray[np.float64]
+
+
+class HeatMethod:
+    """Distances from single vertices by the heat method, factorised once.
+
+    Raises
+    ------
+    MeshError
+        The mesh cannot be handled (not manifold, for example).
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        import potpourri3d
+
+        try:
+            self._solver = potpourri3d.MeshHeatMethodDistanceSolver(mesh.vertices, mesh.faces)
+        except RuntimeError as error:
+            raise MeshError(f"{mesh.name}: geodesic distances cannot be computed ({error})") from error
+        self._name = mesh.name
+
+    def row(self, vertex: int) -> NDArray[np.float64]:
+        """Return the (n,) distances from one vertex; zero there and nowhere negative."""
+        distances = np.maximum(np.asarray(self._solver.compute_distance(int(vertex)), dtype=np.float64), 0.0)
+        distances[vertex] = 0.0
+        if not np.isfinite(distances).all():
+            raise MeshError(f"{self._name}: distances from vertex {vertex} are not finite; look for degenerate faces")
+        return distances
+
+
+def farthest_point_geodesics(mesh: Mesh, search_samples: int, factor_samples: int) -> Geodesics:
+    """Sample vertices, each as far as possible from those before, and measure distances from them.
+
+    The first sample is the vertex farthest from the one nearest to the centroid, so that the samples do not depend on
+    how the vertices are numbered. The work is proportional to samples × vertices; above `ROW_VERTICES` fewer samples
+    than asked for are taken, never less than `factor_samples`, which is logged. Memory: only N full rows are kept.
+
+    Parameters
+    ----------
+    mesh : of unit area.
+    search_samples : S, samples whose mutual distances are kept.
+    factor_samples : N, samples whose full rows are kept (at most S).
+
+    Raises
+    ------
+    MeshError
+        The heat method fails on the mesh.
+    """
+    n = mesh.n_vertices
+    count = affordable_samples(n, search_samples, factor_samples)
+    if count < min(search_samples, n):
+        logger.info("%s: %d geodesic samples instead of %d (%d vertices)", mesh.name, count, search_samples, n)
+    mass = lumped_mass(mesh.vertices, mesh.faces)
+    heat = HeatMethod(mesh)
+    samples = np.zeros(count, dtype=np.int64)
+    rows = np.zeros((count, n), dtype=np.float32)
+    gap = np.full(n, np.inf, dtype=np.float32)
+    owner = np.zeros(n, dtype=np.int64)
+    following = int(heat.row(_central_vertex(mesh, mass)).argmax())
+    for index in range(count):
+        samples[index] = following
+        rows[index] = heat.row(following)
+        closer = rows[index] < gap
+        gap[closer] = rows[index, closer]
+        owner[closer] = index
+        # A sample keeps its own cell, and is never taken twice, even where vertices coincide.
+        gap[following] = -1.0
+        owner[following] = index
+        following = int(gap.argmax())
+    between = rows[:, samples].astype(np.float64)
+    weights = np.bincount(owner, weights=mass, minlength=count)
+    return Geodesics(
+        samples=samples,
+        distances=0.5 * (between + between.T),
+        rows=rows[: min(factor_samples, count)].copy(),
+        weights=weights / weights.sum(),
+    )
+
+
+def affordable_samples(vertices: int, search_samples: int, factor_samples: int) -> int:
+    """Return the number of samples that `farthest_point_geodesics` takes on a mesh of so many vertices."""
+    return min(search_samples, vertices, max(ROW_VERTICES // vertices, factor_samples))
+
+
+def _central_vertex(mesh: Mesh, mass: NDArray[np.float64]) -> int:
+    centre = mass @ mesh.vertices / mass.sum()
+    return int(np.square(mesh.vertices - centre).sum(axis=1).argmin())
+
+
+def low_rank(geodesics: Geodesics, mass: NDArray[np.float64], rank: int | None = None) -> DistanceFactors:
+    """Return factors of the matrix of all distances from the rows of the first N samples.
+
+    With R the (n, N) columns of D at the samples and V Λ Vᵀ their N × N block, D ≈ R V Λ⁻¹ Vᵀ Rᵀ over the pairs whose
+    |λ| is largest (Shamai, Zibulevsky and Kimmel). Half of them are kept: the small ones are errors of the heat
+    method, and their inverses would be the largest numbers in the product.
+
+    Parameters
+    ----------
+    geodesics : from `farthest_point_geodesics`.
+    mass : (n,) vertex areas.
+    rank : number of pairs kept; None for N / 2.
+    """
+    count = len(geodesics.rows)
+    kept = max(count // 2, 1) if rank is None else min(rank, count)
+    values, vectors = np.linalg.eigh(geodesics.distances[:count, :count])
+    strongest = np.sort(np.argsort(-np.abs(values), kind="stable")[:kept])
+    columns = geodesics.rows.T.astype(np.float64) @ vectors[:, strongest]
+    root = np.sqrt(mass)[:, None]
+    left, triangle = scipy.linalg.qr(columns * root, mode="economic", check_finite=False)
+    core = (triangle / values[strongest]) @ triangle.T
+    return DistanceFactors(left=left / root, core=0.5 * (core + core.T))
+
+
+def all_pairs(mesh: Mesh) -> NDArray[np.float64]:
+    """Return the (n, n) distances between all vertices, symmetric with zero diagonal. For small meshes."""
+    heat = HeatMethod(mesh)
+    distances = np.stack([heat.row(vertex) for vertex in range(mesh.n_vertices)])
+    return 0.5 * (distances + distances.T)

@@ -1,0 +1,253 @@
+"""Discrete differential operators of a triangle mesh, as functions over (n, 3) vertices and (m, 3) faces.
+
+The stiffness and the lumped mass are those of linear finite elements, so that the Laplace–Beltrami operator of the
+mesh is A⁻¹W. The scale-invariant operator has the same W (it is conformally invariant in two dimensions) and a mass
+multiplied by a conformal factor made from the Gaussian curvature.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..options import SpectrumOptions
+
+if TYPE_CHECKING:
+    from .spectra import Spectrum
+
+#: A face whose doubled area is below this fraction of its longest squared edge counts as having that area.
+SLIVER = 1e-6
+#: A vertex area below this fraction of the mean one is raised to it, so that the mass matrix can be inverted.
+SMALLEST_MASS = 1e-8
+#: Diffusion time of the "heat-kernel" metric in units of the surface area.
+HEAT_TIME = 5e-3
+
+_FACES_AT_ONCE = 16384
+
+
+def stiffness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> sparse.csr_matrix:
+    """Return the cotangent matrix W, positive semi-definite with zero row sums.
+
+    The matrix of one face is the Gram matrix of its edge vectors over twice its doubled area, e_i·e_j / (2 |e_i×e_j|).
+    In this form a sliver is tamed by raising the area alone: cotangents stay finite and the matrix positive.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float64
+    faces : (m, 3) int32
+
+    Returns
+    -------
+    (n, n) float64 in CSR format; free of units (it does not change when the mesh is scaled).
+    """
+    corners = vertices[faces]
+    edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
+    doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    longest = np.einsum("fij,fij->fi", edges, edges).max(axis=1)
+    doubled = np.maximum(doubled, np.maximum(SLIVER * longest, np.finfo(np.float64).tiny))
+    local = np.einsum("fix,fjx->fij", edges, edges) / (2.0 * doubled[:, None, None])
+    n = len(vertices)
+    rows = np.repeat(faces, 3, axis=1).ravel()
+    columns = np.tile(faces, (1, 3)).ravel()
+    matrix = sparse.coo_matrix((local.ravel(), (rows, columns)), shape=(n, n)).tocsr()
+    # Rounding differs between the two sides of the diagonal when faces are added in another order.
+    return sparse.csr_matrix((matrix + matrix.T) * 0.5)
+
+
+def lumped_mass(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Return the vertex areas, a third of the areas of the faces around each vertex.
+
+    Returns
+    -------
+    (n,) float64, positive, summing to the surface area.
+    """
+    areas = face_areas(vertices, faces) / 3.0
+    mass = np.bincount(faces.ravel(), weights=np.repeat(areas, 3), minlength=len(vertices))
+    return np.maximum(mass, SMALLEST_MASS * mass.mean())
+
+
+def face_areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Return the (m,) areas of the faces."""
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return 0.5 * np.linalg.norm(normals, axis=1)
+
+
+def boundary_vertices(faces: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
+    """Return the (count,) mask of vertices on an edge that belongs to one face only."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
+    keys, uses = np.unique(edges[:, 0] * count + edges[:, 1], return_counts=True)
+    single = keys[uses == 1]
+    mask = np.zeros(count, dtype=bool)
+    mask[single // count] = True
+    mask[single % count] = True
+    return mask
+
+
+def gaussian_curvature(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], mass: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the angle defect of every vertex over its area.
+
+    The full angle is 2π inside and π on the boundary, so that the mass-weighted sum is 2π times the Euler
+    characteristic (Gauss–Bonnet) up to the turning of the boundary, which is included.
+
+    Returns
+    -------
+    (n,) float64, in units of 1/area.
+    """
+    corners = vertices[faces]
+    angles = np.zeros(faces.shape, dtype=np.float64)
+    for corner in range(3):
+        first = corners[:, (corner + 1) % 3] - corners[:, corner]
+        second = corners[:, (corner + 2) % 3] - corners[:, corner]
+        across = np.linalg.norm(np.cross(first, second), axis=1)
+        angles[:, corner] = np.arctan2(across, np.einsum("fx,fx->f", first, second))
+    around = np.bincount(faces.ravel(), weights=angles.ravel(), minlength=len(vertices))
+    full = np.where(boundary_vertices(faces, len(vertices)), np.pi, 2.0 * np.pi)
+    return (full - around) / mass
+
+
+def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Return (n, 3) unit normals, the area-weighted means over the faces around each vertex (zero where undefined)."""
+    corners = vertices[faces]
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.stack(
+        [np.bincount(faces.ravel(), np.repeat(face_normals[:, axis], 3), len(vertices)) for axis in range(3)], axis=1
+    )
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+
+
+def mean_curvature(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    mass: NDArray[np.float64],
+    weights: sparse.csr_matrix | None = None,
+) -> NDArray[np.float64]:
+    """Return the mean curvature H = n·(A⁻¹W x) / 2, positive on a sphere with outward faces.
+
+    Parameters
+    ----------
+    weights : the stiffness matrix, where it has been computed already.
+
+    Returns
+    -------
+    (n,) float64, in units of 1/length.
+    """
+    matrix = stiffness(vertices, faces) if weights is None else weights
+    pull = matrix @ vertices
+    return np.einsum("nx,nx->n", vertex_normals(vertices, faces), pull) / (2.0 * mass)
+
+
+def conformal_factor(
+    curvature: NDArray[np.float64],
+    mass: NDArray[np.float64],
+    options: SpectrumOptions,
+    spectrum: Spectrum | None = None,
+) -> NDArray[np.float64]:
+    """Return the factor that the metric is multiplied by to make it scale-invariant.
+
+    "euclidean" is 1 (Eq. 3); "regularized" is sqrt(K² + epsilon²) (Eq. 7); "power" is |K|^xi (Eq. 29) with |K| clamped
+    to its quantiles, as xi near 1 otherwise puts a fifth of the area on a hundredth of the vertices; "heat-kernel" is
+    "power" with the curvature of `heat_kernel_curvature`; "auto" is "power" with the given xi. In every case the result
+    is divided by its total, so that the weighted mass sums to 1 whatever the size of the mesh.
+
+    Parameters
+    ----------
+    curvature : (n,) Gaussian curvature.
+    mass : (n,) vertex areas.
+    options : metric, xi, clamp and epsilon are read.
+    spectrum : eigenfunctions of the Laplace–Beltrami operator, needed by "heat-kernel" only.
+
+    Returns
+    -------
+    (n,) float64, positive; ``mass @ factor`` is 1.
+
+    Raises
+    ------
+    InputError
+        "heat-kernel" without a spectrum.
+    """
+    if options.metric == "euclidean":
+        factor = np.ones_like(mass)
+    elif options.metric == "regularized":
+        factor = np.sqrt((curvature * mass.sum()) ** 2 + options.epsilon**2)
+    elif options.metric == "heat-kernel":
+        if spectrum is None:
+            raise InputError("the heat-kernel metric needs the Laplace–Beltrami spectrum of the shape; pass it")
+        factor = _clamped_power(heat_kernel_curvature(spectrum), mass, options)
+    else:
+        factor = _clamped_power(curvature, mass, options)
+    return factor / (mass @ factor)
+
+
+def _clamped_power(
+    curvature: NDArray[np.float64], mass: NDArray[np.float64], options: SpectrumOptions
+) -> NDArray[np.float64]:
+    magnitude = np.abs(curvature)
+    low, high = np.quantile(magnitude, [options.clamp, 1.0 - options.clamp])
+    # A flat region of more than the quantile's share would leave a mass of zero: keep a small multiple of 1/area.
+    floor = max(low, 1e-3 / mass.sum())
+    return np.clip(magnitude, floor, max(high, floor)) ** options.xi
+
+
+def heat_kernel_curvature(spectrum: Spectrum, time: float | None = None) -> NDArray[np.float64]:
+    """Return the Gaussian curvature read off the diagonal of the heat kernel, smoothed over the diffusion length.
+
+    For small t, h_t(x, x) = (1 + K t / 3 + O(t²)) / (4πt), so K = (3 / t) (4πt h_t(x, x) − 1), where
+    h_t(x, x) = Σ exp(−λ_i t) φ_i(x)². The spectrum is cut at the eigenvalue Λ of its last pair. By Weyl's law what
+    lies above contributes exp(−Λt) / (4πt) on average over the surface, which is added. The time is proportional to
+    the area, `HEAT_TIME` times it, or longer where Λ is so small that the added tail would exceed exp(−6): so K is
+    covariant under scaling, and the metric |K|^xi made from it changes by a constant only.
+
+    Parameters
+    ----------
+    spectrum : Laplace–Beltrami eigenfunctions.
+    time : diffusion time in units of squared length; None chooses it as above.
+
+    Returns
+    -------
+    (n,) float64, in units of 1/area.
+    """
+    last = float(spectrum.eigenvalues[-1])
+    if time is None:
+        time = max(HEAT_TIME * float(spectrum.mass.sum()), 6.0 / max(last, np.finfo(np.float64).tiny))
+    kernel = np.square(spectrum.functions) @ np.exp(-spectrum.eigenvalues * time)
+    tail = np.exp(-last * time) / (4.0 * np.pi * time)
+    return (3.0 / time) * (4.0 * np.pi * time * (kernel + tail) - 1.0)
+
+
+def orientation_tensor(faces: NDArray[np.int32], functions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the triple products O[a, b, c] = ⟨φ_c, n·(∇φ_a × ∇φ_b)⟩ of functions on a surface.
+
+    On a face, n·(∇f × ∇g) times its area is half the determinant of the differences of f and g along two edges: the
+    integral needs no lengths, only the orientation of the faces. φ_c is taken as the mean of the three corners. The
+    tensor is carried along by maps that keep the orientation and changes sign under those that reverse it.
+
+    Parameters
+    ----------
+    faces : (m, 3) int32, consistently oriented.
+    functions : (n, p) float64.
+
+    Returns
+    -------
+    (p, p, p) float64, antisymmetric in the first two indices.
+    """
+    p = functions.shape[1]
+    above, below = np.triu_indices(p, 1)
+    products = np.zeros((len(above), p), dtype=np.float64)
+    for start in range(0, len(faces), _FACES_AT_ONCE):
+        corners = functions[faces[start : start + _FACES_AT_ONCE]]
+        first = corners[:, 1] - corners[:, 0]
+        second = corners[:, 2] - corners[:, 0]
+        determinant = first[:, above] * second[:, below] - first[:, below] * second[:, above]
+        products += 0.5 * determinant.T @ corners.mean(axis=1)
+    tensor = np.zeros((p, p, p), dtype=np.float64)
+    tensor[above, below] = products
+    tensor[below, above] = -products
+    return tensor

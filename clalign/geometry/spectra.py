@@ -1,0 +1,130 @@
+"""Eigenfunctions of the Laplace–Beltrami operators, each pair checked by its residual."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+from ..errors import ConvergenceError
+
+logger = logging.getLogger(__name__)
+
+#: Largest relative residual of an eigenpair that is accepted.
+TOLERANCE = 1e-6
+#: Meshes with fewer vertices are solved densely.
+DENSE_BELOW = 600
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """The lowest eigenpairs of W φ = λ M φ.
+
+    Attributes
+    ----------
+    eigenvalues : (k,) float64, ascending, the first one close to 0.
+    functions : (n, k) float64; ``functions.T @ diag(mass) @ functions`` is the identity.
+    mass : (n,) float64, the diagonal of M.
+    """
+
+    eigenvalues: NDArray[np.float64]
+    functions: NDArray[np.float64]
+    mass: NDArray[np.float64]
+
+    @property
+    def count(self) -> int:
+        """Number of eigenpairs."""
+        return len(self.eigenvalues)
+
+
+def solve(
+    stiffness: sparse.csr_matrix,
+    mass: NDArray[np.float64],
+    count: int,
+    solver: Literal["block", "arpack"] = "block",
+) -> Spectrum:
+    """Return the lowest eigenpairs of W φ = λ M φ, with every residual checked.
+
+    Meshes below `DENSE_BELOW` vertices are solved densely. No more than a third of the vertices can be asked for, as
+    the higher discrete eigenfunctions say nothing about the surface; a larger count is lowered and logged.
+
+    Parameters
+    ----------
+    stiffness : (n, n) symmetric positive semi-definite W.
+    mass : (n,) positive diagonal of M.
+    count : number of eigenpairs.
+    solver : "block" (shift-invert block Lanczos, `lanczos.block_lanczos`) or "arpack" (the reference).
+
+    Returns
+    -------
+    Spectrum
+        Functions orthonormal in M, with signs fixed as in `fix_signs`.
+
+    Raises
+    ------
+    ConvergenceError
+        A residual ‖Wφ − λMφ‖ in the norm of M⁻¹, relative to λ + 4π / ΣM, is above `TOLERANCE`.
+    """
+    n = len(mass)
+    capped = min(count, max(n // 3, 1))
+    if capped < count:
+        logger.info("%d eigenfunctions asked for; a mesh of %d vertices is given %d", count, n, capped)
+    root = np.sqrt(mass)
+    inverse_root = sparse.diags_array(1.0 / root)
+    operator = sparse.csc_matrix(inverse_root @ stiffness @ inverse_root)
+    unit = eigenvalue_unit(mass)
+    if n < DENSE_BELOW:
+        values, vectors = scipy.linalg.eigh(operator.toarray(), subset_by_index=(0, capped - 1))
+    else:
+        values, vectors = _arpack(operator, capped, unit)
+    residual = _largest_residual(operator, values, vectors, unit)
+    if not residual <= TOLERANCE:
+        raise ConvergenceError(f"an eigenpair of {capped} has residual {residual:.1e}, above {TOLERANCE:.0e}")
+    functions = fix_signs(vectors / root[:, None], mass)
+    return Spectrum(eigenvalues=np.maximum(values, 0.0), functions=functions, mass=mass)
+
+
+def eigenvalue_unit(mass: NDArray[np.float64]) -> float:
+    """Return 4π / ΣM, by Weyl's law the mean distance between eigenvalues of a closed surface of that area."""
+    return float(4.0 * np.pi / mass.sum())
+
+
+def fix_signs(functions: NDArray[np.float64], mass: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the functions with signs that depend on the functions alone, not on the solver.
+
+    A function is given the sign that makes its third moment Σ M φ³ positive; where that vanishes (odd functions of a
+    symmetric shape) the sign that makes its entry of largest magnitude positive.
+
+    Parameters
+    ----------
+    functions : (n, k) float64, orthonormal in M.
+    mass : (n,) float64.
+    """
+    third = mass @ functions**3
+    largest = np.take_along_axis(functions, np.abs(functions).argmax(axis=0)[None], axis=0)[0]
+    clear = np.abs(third) * np.sqrt(mass.sum()) > 1e-6
+    signs = np.where(np.where(clear, third, largest) < 0, -1.0, 1.0)
+    return np.ascontiguousarray(functions * signs)
+
+
+def _arpack(operator: sparse.csc_matrix, count: int, unit: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    n = operator.shape[0]
+    shifted = sparse.csc_matrix(operator + unit * sparse.eye_array(n))
+    factors = splu(shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    inverse = LinearOperator((n, n), matvec=factors.solve, dtype=np.float64)
+    start = np.cos(np.arange(n, dtype=np.float64) ** 2)
+    values, vectors = eigsh(operator, count, sigma=-unit, OPinv=inverse, v0=start, which="LM")
+    order = np.argsort(values, kind="stable")
+    return values[order], vectors[:, order]
+
+
+def _largest_residual(operator: Any, values: NDArray[np.float64], vectors: NDArray[np.float64], unit: float) -> float:
+    residuals = operator @ vectors
+    residuals -= vectors * values
+    return float((np.linalg.norm(residuals, axis=0) / (np.abs(values) + unit)).max())
