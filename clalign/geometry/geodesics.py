@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from ..errors import MeshError
+from clalign.errors import MeshError
 from .mesh import Mesh
 from .operators import lumped_mass
 

@@ -13,8 +13,8 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..options import SpectrumOptions
+from clalign.errors import InputError
+from clalign.options import SpectrumOptions
 
 if TYPE_CHECKING:
     from .spectra import Spectrum

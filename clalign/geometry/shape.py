@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from ..options import Options
+from clalign.options import Options
 from . import operators
 from .geodesics import DistanceFactors, Geodesics, farthest_point_geodesics, low_rank
 from .mesh import Mesh

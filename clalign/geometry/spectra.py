@@ -12,7 +12,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from ..errors import ConvergenceError
+from clalign.errors import ConvergenceError
 
 logger = logging.getLogger(__name__)
 
