@@ -1,0 +1,86 @@
+"""Dense correspondence between two non-rigid shapes by aligning scale-invariant Laplace–Beltrami eigenfunctions.
+
+>>> import clalign
+>>> result = clalign.match("source.ply", "target.ply")  # doctest: +SKIP
+>>> result.target_of_source  # doctest: +SKIP
+
+Importing the package is light: the names below are loaded on first use, and no OpenCL device is opened before a
+match runs.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .correspondence import Alternative, Correspondence
+    from .data import bundled_pair
+    from .errors import (
+        ClalignError,
+        ClalignWarning,
+        ConfidenceWarning,
+        ConvergenceError,
+        DeviceError,
+        InputError,
+        MemoryBudgetError,
+        MeshError,
+        OptionError,
+        ResultError,
+    )
+    from .evaluation.errors import evaluate
+    from .matching import match
+    from .options import Options
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Alternative": "correspondence",
+    "ClalignError": "errors",
+    "ClalignWarning": "errors",
+    "ConfidenceWarning": "errors",
+    "ConvergenceError": "errors",
+    "Correspondence": "correspondence",
+    "DeviceError": "errors",
+    "InputError": "errors",
+    "MemoryBudgetError": "errors",
+    "MeshError": "errors",
+    "OptionError": "errors",
+    "Options": "options",
+    "ResultError": "errors",
+    "bundled_pair": "data",
+    "evaluate": "evaluation.errors",
+    "match": "matching",
+}
+
+__all__ = [
+    "Alternative",
+    "ClalignError",
+    "ClalignWarning",
+    "ConfidenceWarning",
+    "ConvergenceError",
+    "Correspondence",
+    "DeviceError",
+    "InputError",
+    "MemoryBudgetError",
+    "MeshError",
+    "OptionError",
+    "Options",
+    "ResultError",
+    "__version__",
+    "bundled_pair",
+    "evaluate",
+    "match",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f".{_HOMES[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

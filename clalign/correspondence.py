@@ -1,0 +1,374 @@
+"""The result of a match: both maps, R, C, the eigenfunctions, and how they were found.
+
+On disk a result is a folder of two text files (the maps, for any other program), ``result.npz`` (every array, named by
+its place in `Correspondence`) and ``result.json`` (everything else).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import OptionError, ResultError
+from .geometry.mesh import Mesh
+from .geometry.spectra import Spectrum
+from .options import Options
+from .storage import atomic_folder, recover
+
+RESULT_FORMAT = 1
+FACTS_FILE = "result.json"
+ARRAYS_FILE = "result.npz"
+FORWARD_FILE = "target_of_source.txt"
+BACKWARD_FILE = "source_of_target.txt"
+
+_MESH_ARRAYS = ("vertices", "faces", "offset", "file_index")
+_SPECTRA = ("source_basis", "target_basis", "source_descriptors", "target_descriptors")
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A map that the search considered and that differs from the chosen one.
+
+    target_of_source : (file_count_x,) int64, in file numbering; -1 where the vertex is not on the surface.
+    source_of_target : (file_count_y,) int64.
+    score : how badly distances are kept, the lower the better; comparable between the maps of one match.
+    orientation : from -1 (mirrored everywhere) to 1 (orientation kept everywhere).
+    distance : mean geodesic distance on the target between the two images of a source point, units of sqrt(area).
+    """
+
+    target_of_source: NDArray[np.int64]
+    source_of_target: NDArray[np.int64]
+    score: float
+    orientation: float
+    distance: float
+
+
+@dataclass(frozen=True)
+class Correspondence:
+    """Dense correspondence between a source mesh X and a target mesh Y.
+
+    Maps are in the vertex numbering of the files; functions on vertices are in the compact order of the meshes
+    (`Mesh.file_index` translates, and the two agree unless a file has vertices outside its surface).
+
+    source, target : the meshes, scaled to unit area.
+    target_of_source : (file_count_x,) int64, the target vertex of every source vertex; -1 off the surface.
+    source_of_target : (file_count_y,) int64, the source vertex of every target vertex; -1 off the surface.
+    functional_map : (k_y, k_x) float64, C: coefficients of a function on X to those of its image on Y (Eq. 13).
+    rotation : (d, d) float64, R, banded and nearly orthogonal (Eq. 20).
+    source_basis, target_basis : LBO eigenfunctions of both meshes.
+    source_descriptors, target_descriptors : scale-invariant eigenfunctions; the signs that the search found are
+        already in those of the source.
+    history : one entry an evaluation: round, evaluation, total, align, unsup, cycle, unitarity.
+    losses : the terms at the kept point.
+    confidence : in [0, 1], by how much the chosen map beats the best different one.
+    orientation : from -1 (mirrored) to 1 (orientation kept).
+    distortion : (n_x,) float64, local metric distortion of the map at every source vertex.
+    alternatives : the best different maps, best first.
+    timings : seconds a stage.
+    warnings : what a reader should know before trusting the maps.
+    device : the device that computed, as it names itself.
+    options, versions : what is needed to repeat the match.
+    source_faces, source_barycentric : (file_count_x,) int64 and (file_count_x, 3) float64, the point of the target
+        of every source vertex as a target face and weights of its corners; None without the sub-vertex read-out.
+
+    Raises
+    ------
+    ResultError
+        The sizes do not fit together, or a map names a vertex that its mesh does not have.
+    """
+
+    source: Mesh
+    target: Mesh
+    target_of_source: NDArray[np.int64]
+    source_of_target: NDArray[np.int64]
+    functional_map: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    source_basis: Spectrum
+    target_basis: Spectrum
+    source_descriptors: Spectrum
+    target_descriptors: Spectrum
+    history: tuple[dict[str, float], ...]
+    losses: dict[str, float]
+    confidence: float
+    orientation: float
+    distortion: NDArray[np.float64]
+    alternatives: tuple[Alternative, ...]
+    timings: dict[str, float]
+    warnings: tuple[str, ...]
+    device: str
+    options: Options
+    versions: dict[str, str]
+    source_faces: NDArray[np.int64] | None = None
+    source_barycentric: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        source, target = self.source, self.target
+        for alternative in (self, *self.alternatives):
+            check_map("target_of_source", alternative.target_of_source, source.file_count, target.file_count)
+            check_map("source_of_target", alternative.source_of_target, target.file_count, source.file_count)
+        for name, mesh in zip(_SPECTRA, (source, target, source, target), strict=True):
+            rows = len(getattr(self, name).functions)
+            if rows != mesh.n_vertices:
+                raise ResultError(f"{name}: has {rows} rows, the mesh {mesh.name!r} has {mesh.n_vertices} vertices")
+        if len(self.distortion) != source.n_vertices:
+            raise ResultError(f"distortion: has {len(self.distortion)} values, not one a source vertex")
+
+    @property
+    def source_aligned(self) -> NDArray[np.float64]:
+        """(n_x, d) scale-invariant eigenfunctions of the source turned towards the target's, Φ̃R (Eq. 20)."""
+        return self.source_descriptors.functions[:, : len(self.rotation)] @ self.rotation
+
+    @property
+    def target_aligned(self) -> NDArray[np.float64]:
+        """(n_y, d) those of the target turned towards the source's, Ψ̃Rᵀ; Ψ̃ as it is for a one-sided match (Eq. 18)."""
+        functions = self.target_descriptors.functions[:, : len(self.rotation)]
+        return functions if self.options.alignment.sides == "one" else functions @ self.rotation.T
+
+    def facts(self) -> dict[str, Any]:
+        """Return everything but the arrays as plain values: the content of ``result.json``."""
+        return {
+            "format": RESULT_FORMAT,
+            "source": _mesh_facts(self.source),
+            "target": _mesh_facts(self.target),
+            "device": self.device,
+            "confidence": _plain(self.confidence),
+            "orientation": _plain(self.orientation),
+            "losses": {name: _plain(value) for name, value in self.losses.items()},
+            "counts": self._counts(),
+            "timings": {name: _plain(value) for name, value in self.timings.items()},
+            "warnings": list(self.warnings),
+            "alternatives": [
+                {"score": _plain(a.score), "orientation": _plain(a.orientation), "distance": _plain(a.distance)}
+                for a in self.alternatives
+            ],
+            "options": self.options.as_dict(),
+            "versions": dict(self.versions),
+        }
+
+    def _counts(self) -> dict[str, int]:
+        return {
+            "basis_source": self.source_basis.functions.shape[1],
+            "basis_target": self.target_basis.functions.shape[1],
+            "functional_map_rows": self.functional_map.shape[0],
+            "functional_map_columns": self.functional_map.shape[1],
+            "descriptors": len(self.rotation),
+            "evaluations": len(self.history),
+            "alternatives": len(self.alternatives),
+        }
+
+    def save(
+        self, folder: str | Path, *, force: bool = False, extra_files: Callable[[Path], None] | None = None
+    ) -> None:
+        """Write the result into a folder, all or nothing.
+
+        Eigenfunctions are stored in single precision, everything else as it is.
+
+        Parameters
+        ----------
+        folder : the folder to make; parents are made as needed.
+        force : replace an earlier result in that folder (never a folder with other content).
+        extra_files : called with the path of the unfinished folder, to add files that belong to the same whole.
+
+        Raises
+        ------
+        ResultError
+            The folder exists and may not be replaced, or the disk refused; what was there before is untouched.
+        """
+        with atomic_folder(Path(folder), FACTS_FILE, force=force) as unfinished:
+            write_map(unfinished / FORWARD_FILE, self.target_of_source)
+            write_map(unfinished / BACKWARD_FILE, self.source_of_target)
+            np.savez(unfinished / ARRAYS_FILE, **dict(_arrays(self)))
+            if extra_files is not None:
+                extra_files(unfinished)
+            text = json.dumps(self.facts(), indent=2, ensure_ascii=False, allow_nan=False)
+            (unfinished / FACTS_FILE).write_text(text + "\n", encoding="utf-8")
+
+    @staticmethod
+    def load(folder: str | Path) -> Correspondence:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        ResultError
+            The folder is not a result, a file of it is missing or damaged, or its parts do not fit together.
+        """
+        folder = Path(folder)
+        recover(folder)
+        facts = _read_facts(folder)
+        arrays = _read_arrays(folder)
+        try:
+            return _assembled(facts, arrays)
+        except ResultError as error:
+            raise ResultError(f"{folder}: the result is damaged: {error}") from error
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            detail = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
+            raise ResultError(f"{folder}: the result is damaged: {detail}; match the meshes again") from error
+
+
+def check_map(name: str, values: NDArray[np.int64], count: int, other_count: int) -> None:
+    """Check a vertex map: one entry a vertex, each -1 or a vertex of the other mesh.
+
+    Parameters
+    ----------
+    name : how messages call the map.
+    values : (count,) integers.
+    count, other_count : vertices of the mesh that the map starts from, and of the one it leads to.
+
+    Raises
+    ------
+    ResultError
+        Wrong size or type, or an entry outside the other mesh.
+    """
+    if values.ndim != 1 or len(values) != count:
+        raise ResultError(f"{name}: has shape {values.shape}, expected one entry for each of {count} vertices")
+    if not np.issubdtype(values.dtype, np.integer):
+        raise ResultError(f"{name}: holds {values.dtype} values, expected integers")
+    bad = np.flatnonzero((values < -1) | (values >= other_count))
+    if len(bad):
+        raise ResultError(
+            f"{name}: entry {bad[0]} is {values[bad[0]]}, but the other mesh has vertices 0 to {other_count - 1}"
+        )
+
+
+def write_map(path: Path, values: NDArray[np.int64]) -> None:
+    """Write a vertex map as text: line i holds the 0-based vertex of the other file, -1 for none."""
+    path.write_text("".join(f"{value}\n" for value in values.tolist()), encoding="ascii")
+
+
+def _plain(value: float) -> float | None:
+    """JSON has no NaN and no infinity: what is not a number becomes null."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _mesh_facts(mesh: Mesh) -> dict[str, Any]:
+    return {
+        "name": mesh.name,
+        "path": mesh.path,
+        "vertices": mesh.n_vertices,
+        "faces": mesh.n_faces,
+        "file_vertices": mesh.file_count,
+        "scale": float(mesh.scale),
+        "notes": list(mesh.notes),
+    }
+
+
+def _arrays(result: Correspondence) -> Iterator[tuple[str, NDArray[Any]]]:
+    for side in ("source", "target"):
+        mesh = getattr(result, side)
+        for name in _MESH_ARRAYS:
+            yield f"{side}.{name}", getattr(mesh, name)
+    for name in _SPECTRA:
+        spectrum = getattr(result, name)
+        yield f"{name}.eigenvalues", spectrum.eigenvalues
+        yield f"{name}.functions", spectrum.functions.astype(np.float32)
+        yield f"{name}.mass", spectrum.mass
+    for name in ("target_of_source", "source_of_target", "functional_map", "rotation", "distortion"):
+        yield name, getattr(result, name)
+    for number, alternative in enumerate(result.alternatives):
+        yield f"alternatives.{number}.target_of_source", alternative.target_of_source
+        yield f"alternatives.{number}.source_of_target", alternative.source_of_target
+    columns = list(dict.fromkeys(name for entry in result.history for name in entry))
+    yield "history.columns", np.array(columns, dtype=np.str_)
+    yield (
+        "history.values",
+        np.array([[entry.get(name, np.nan) for name in columns] for entry in result.history], dtype=np.float64),
+    )
+    if result.source_faces is not None and result.source_barycentric is not None:
+        yield "source_faces", result.source_faces
+        yield "source_barycentric", result.source_barycentric
+
+
+def _read_facts(folder: Path) -> dict[str, Any]:
+    path = folder / FACTS_FILE
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ResultError(f"{folder}: is not a result folder of clalign, it has no {FACTS_FILE}") from error
+    except (OSError, ValueError) as error:
+        raise ResultError(f"{path}: cannot be read: {error}") from error
+    if not isinstance(facts, dict) or facts.get("format") != RESULT_FORMAT:
+        found = facts.get("format") if isinstance(facts, dict) else None
+        raise ResultError(f"{path}: has format {found!r}, this version of clalign reads format {RESULT_FORMAT}")
+    return facts
+
+
+def _read_arrays(folder: Path) -> dict[str, NDArray[Any]]:
+    path = folder / ARRAYS_FILE
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except FileNotFoundError as error:
+        raise ResultError(f"{folder}: {ARRAYS_FILE} is missing; match the meshes again") from error
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ResultError(f"{path}: cannot be read: {error}; match the meshes again") from error
+
+
+def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Correspondence:
+    try:
+        options = Options.from_dict(facts["options"])
+    except OptionError as error:
+        raise ResultError(str(error)) from error
+    columns = [str(name) for name in arrays["history.columns"]]
+    return Correspondence(
+        source=_mesh("source", facts, arrays),
+        target=_mesh("target", facts, arrays),
+        **{name: _spectrum(name, arrays) for name in _SPECTRA},
+        **{
+            name: arrays[name]
+            for name in ("target_of_source", "source_of_target", "functional_map", "rotation", "distortion")
+        },
+        history=tuple(
+            {name: float(value) for name, value in zip(columns, row, strict=True) if not np.isnan(value)}
+            for row in arrays["history.values"]
+        ),
+        losses={name: _number(value) for name, value in facts["losses"].items()},
+        confidence=_number(facts["confidence"]),
+        orientation=_number(facts["orientation"]),
+        alternatives=tuple(
+            Alternative(
+                target_of_source=arrays[f"alternatives.{number}.target_of_source"],
+                source_of_target=arrays[f"alternatives.{number}.source_of_target"],
+                **{name: _number(values[name]) for name in ("score", "orientation", "distance")},
+            )
+            for number, values in enumerate(facts["alternatives"])
+        ),
+        timings={name: _number(value) for name, value in facts["timings"].items()},
+        warnings=tuple(facts["warnings"]),
+        device=str(facts["device"]),
+        options=options,
+        versions=dict(facts["versions"]),
+        source_faces=arrays.get("source_faces"),
+        source_barycentric=arrays.get("source_barycentric"),
+    )
+
+
+def _mesh(side: str, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Mesh:
+    values = facts[side]
+    return Mesh(
+        **{name: arrays[f"{side}.{name}"] for name in _MESH_ARRAYS},
+        scale=float(values["scale"]),
+        name=str(values["name"]),
+        path=values["path"],
+        file_count=int(values["file_vertices"]),
+        notes=tuple(values["notes"]),
+    )
+
+
+def _spectrum(name: str, arrays: Mapping[str, NDArray[Any]]) -> Spectrum:
+    return Spectrum(
+        eigenvalues=arrays[f"{name}.eigenvalues"],
+        functions=arrays[f"{name}.functions"].astype(np.float64),
+        mass=arrays[f"{name}.mass"],
+    )
