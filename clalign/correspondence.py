@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import OptionError, ResultError
-from .geometry.mesh import Mesh
-from .geometry.spectra import Spectrum
-from .options import Options
-from .storage import atomic_folder, recover
+from clalign.errors import OptionError, ResultError
+from clalign.geometry.mesh import Mesh
+from clalign.geometry.spectra import Spectrum
+from clalign.options import Options
+from clalign.storage import atomic_folder, recover
 
 RESULT_FORMAT = 1
 FACTS_FILE = "result.json"
@@ -111,9 +111,10 @@ class Correspondence:
 
     def __post_init__(self) -> None:
         source, target = self.source, self.target
-        for alternative in (self, *self.alternatives):
-            check_map("target_of_source", alternative.target_of_source, source.file_count, target.file_count)
-            check_map("source_of_target", alternative.source_of_target, target.file_count, source.file_count)
+        every_map: tuple[Correspondence | Alternative, ...] = (self, *self.alternatives)
+        for maps in every_map:
+            check_map("target_of_source", maps.target_of_source, source.file_count, target.file_count)
+            check_map("source_of_target", maps.source_of_target, target.file_count, source.file_count)
         for name, mesh in zip(_SPECTRA, (source, target, source, target), strict=True):
             rows = len(getattr(self, name).functions)
             if rows != mesh.n_vertices:
@@ -185,7 +186,8 @@ class Correspondence:
         with atomic_folder(Path(folder), FACTS_FILE, force=force) as unfinished:
             write_map(unfinished / FORWARD_FILE, self.target_of_source)
             write_map(unfinished / BACKWARD_FILE, self.source_of_target)
-            np.savez(unfinished / ARRAYS_FILE, **dict(_arrays(self)))
+            arrays: dict[str, Any] = dict(_arrays(self))
+            np.savez(unfinished / ARRAYS_FILE, **arrays)
             if extra_files is not None:
                 extra_files(unfinished)
             text = json.dumps(self.facts(), indent=2, ensure_ascii=False, allow_nan=False)
@@ -324,11 +326,14 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     return Correspondence(
         source=_mesh("source", facts, arrays),
         target=_mesh("target", facts, arrays),
-        **{name: _spectrum(name, arrays) for name in _SPECTRA},
-        **{
-            name: arrays[name]
-            for name in ("target_of_source", "source_of_target", "functional_map", "rotation", "distortion")
-        },
+        target_of_source=arrays["target_of_source"],
+        source_of_target=arrays["source_of_target"],
+        functional_map=arrays["functional_map"],
+        rotation=arrays["rotation"],
+        source_basis=_spectrum("source_basis", arrays),
+        target_basis=_spectrum("target_basis", arrays),
+        source_descriptors=_spectrum("source_descriptors", arrays),
+        target_descriptors=_spectrum("target_descriptors", arrays),
         history=tuple(
             {name: float(value) for name, value in zip(columns, row, strict=True) if not np.isnan(value)}
             for row in arrays["history.values"]
@@ -336,6 +341,7 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         losses={name: _number(value) for name, value in facts["losses"].items()},
         confidence=_number(facts["confidence"]),
         orientation=_number(facts["orientation"]),
+        distortion=arrays["distortion"],
         alternatives=tuple(
             Alternative(
                 target_of_source=arrays[f"alternatives.{number}.target_of_source"],
@@ -357,7 +363,10 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
 def _mesh(side: str, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Mesh:
     values = facts[side]
     return Mesh(
-        **{name: arrays[f"{side}.{name}"] for name in _MESH_ARRAYS},
+        vertices=arrays[f"{side}.vertices"],
+        faces=arrays[f"{side}.faces"],
+        offset=arrays[f"{side}.offset"],
+        file_index=arrays[f"{side}.file_index"],
         scale=float(values["scale"]),
         name=str(values["name"]),
         path=values["path"],
