@@ -1,0 +1,275 @@
+"""Reading mesh files with their vertex numbers kept, and writing meshes for other tools.
+
+trimesh keeps a file's numbering only for OFF and PLY: an OBJ with texture coordinates comes back split at the seams, and
+an STL has no numbering at all. PLY and STL are read through trimesh's format functions and compared with the file's own
+counts. OFF and OBJ are read here, which also lets a bad face be named by its number instead of being dropped or wrapped.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clalign.errors import MeshError
+from clalign.geometry.mesh_topology import merge_positions
+
+SUFFIXES = (".off", ".ply", ".obj", ".stl")
+
+
+@dataclass(frozen=True)
+class FileMesh:
+    """What a file says, unchecked: its vertices in file order, and its polygons as triangles."""
+
+    vertices: NDArray[np.float64]
+    """(n, 3) positions as in the file."""
+    faces: NDArray[np.int64]
+    """(m, 3) vertex numbers counted from 0; may be out of range."""
+    notes: tuple[str, ...] = ()
+    """What the reader did that the user should know."""
+
+
+class _FormatError(Exception):
+    """Why the bytes are not a file of their format; `read_mesh_file` puts the file's name to it."""
+
+
+def read_mesh_file(path: str | os.PathLike[str]) -> FileMesh:
+    """Read the vertices and triangles of an OFF, PLY, OBJ or STL file without checking the surface.
+
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    FileMesh
+
+    Raises
+    ------
+    MeshError
+        naming the file and the reason, if it is missing, unreadable, of another format, truncated or damaged.
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if path.is_dir():
+        raise MeshError(f"{path}: is a directory; name a mesh file in it ({', '.join(SUFFIXES)})")
+    if reader is None and path.exists():
+        raise MeshError(f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(SUFFIXES)}")
+    content = _file_content(path)
+    if reader is None:
+        raise MeshError(f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(SUFFIXES)}")
+    if not content.strip():
+        raise MeshError(f"{path}: the file is empty; export the mesh again")
+    try:
+        return reader(content)
+    except _FormatError as error:
+        raise MeshError(f"{path}: {error}") from error
+
+
+def _file_content(path: Path) -> bytes:
+    """Read all bytes, with the operating system's refusals put into words."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise MeshError(f"{path}: no such file; check the path (current folder: {Path.cwd()})") from error
+    except PermissionError as error:
+        raise MeshError(f"{path}: no permission to read it; change its access rights or copy it") from error
+    except (OSError, ValueError) as error:
+        raise MeshError(f"{path}: cannot be read ({error})") from error
+
+
+def _read_off(content: bytes) -> FileMesh:
+    """OFF and its variants with colours or normals (COFF, NOFF, STOFF, ...): positions are the first three numbers."""
+    lines = _text_lines(content)
+    header = re.match(rb"(?:ST)?C?N?(4?)(n?)OFF\b\s*(?P<rest>.*)", lines[0] if lines else b"")
+    if header is None:
+        raise _FormatError("does not begin with OFF, so it is no OFF file; is the suffix right?")
+    if header[1] or header[2] or header["rest"].upper().startswith(b"BINARY"):
+        raise _FormatError("is an OFF variant (4OFF, nOFF or binary) that is not read; export it as plain OFF or PLY")
+    rows = ([header["rest"]] if header["rest"] else []) + lines[1:]
+    counts = rows[0].split() if rows else []
+    if len(counts) < 2 or not all(re.fullmatch(rb"\d{1,15}", word) for word in counts[:2]):
+        raise _FormatError("has no line with the counts of vertices and faces after OFF; export it again")
+    n_vertices, n_faces = int(counts[0]), int(counts[1])
+    if len(rows) - 1 < n_vertices + n_faces:
+        raise _FormatError(
+            f"its header promises {n_vertices} vertices and {n_faces} faces, but only {len(rows) - 1} lines follow; "
+            "the file is truncated or its counts are wrong"
+        )
+    vertices = _positions([row.split(None, 3)[:3] for row in rows[1 : n_vertices + 1]])
+    polygons = []
+    for number, row in enumerate(rows[n_vertices + 1 : n_vertices + n_faces + 1]):
+        words = row.split()
+        size = _integer(words[0], "face", number)
+        if not 3 <= size < len(words):
+            raise _FormatError(
+                f"face {number} is given as {_shown(row)}: expected a count of 3 or more and as many numbers"
+            )
+        polygons.append(words[1 : size + 1])
+    return FileMesh(vertices, _triangles(polygons))
+
+
+def _read_obj(content: bytes) -> FileMesh:
+    """OBJ: the `v` lines in their order, and the first number of every corner of the `f` lines."""
+    lines = _text_lines(content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" "))
+    positions: list[list[bytes]] = []
+    polygons: list[list[bytes]] = []
+    seen: list[int] = []
+    for line in lines:
+        words = line.split()
+        if words[0] == b"v":
+            positions.append(words[1:4])
+        elif words[0] == b"f":
+            if len(words) < 4:
+                raise _FormatError(f"face {len(polygons)} is given as {_shown(line)}: a face needs three corners")
+            polygons.append([word.partition(b"/")[0] for word in words[1:]])
+            seen.append(len(positions))
+    if not positions and not polygons:
+        raise _FormatError(
+            "has neither vertices (`v` lines) nor faces (`f` lines), so it is no OBJ mesh; is the suffix right?"
+        )
+    vertices = _positions(positions)
+    triangles = _triangles(polygons)
+    before = np.repeat(np.array(seen, dtype=np.int64), [len(polygon) - 2 for polygon in polygons])
+    # Positive numbers count from 1, negative ones backward from the last vertex above the face; 0 names no vertex.
+    faces = np.where(triangles > 0, triangles - 1, np.where(triangles < 0, before[:, None] + triangles, -1))
+    return FileMesh(vertices, faces)
+
+
+def _read_ply(content: bytes) -> FileMesh:
+    """PLY, text or binary, through trimesh; the counts are those of the header."""
+    header_end = re.search(rb"end_header\r?\n?", content)
+    if not content.startswith(b"ply") or header_end is None:
+        raise _FormatError("has no PLY header, so it is no PLY file; is the suffix right?")
+    header = content[: header_end.start()]
+    promised = {}
+    for element in (b"vertex", b"face"):
+        found = re.search(rb"^\s*element\s+" + element + rb"\s+(\d{1,15})\s*$", header, re.MULTILINE)
+        if found is None:
+            raise _FormatError(f"its header names no {element.decode()} element; export it as a triangle mesh")
+        promised[element] = int(found[1])
+    # Every vertex takes at least three bytes: counts beyond that would only make the reader ask for absurd memory.
+    if 3 * promised[b"vertex"] + promised[b"face"] > len(content) - header_end.end():
+        raise _FormatError(
+            f"its header promises {promised[b'vertex']} vertices and {promised[b'face']} faces, more than the file can "
+            "hold; the file is truncated or its counts are wrong"
+        )
+    from trimesh.exchange.ply import load_ply
+
+    loaded = _quietly(load_ply, content, fix_texture=False, skip_materials=True)
+    vertices = _loaded_array(loaded, "vertices", np.float64)
+    faces = _loaded_array(loaded, "faces", np.int64)
+    if len(vertices) != promised[b"vertex"] or len(faces) < promised[b"face"]:
+        raise _FormatError(
+            f"its header promises {promised[b'vertex']} vertices and {promised[b'face']} faces, but {len(vertices)} "
+            f"vertices and {len(faces)} triangles could be read; the file is truncated or its counts are wrong"
+        )
+    return FileMesh(vertices, faces)
+
+
+def _read_stl(content: bytes) -> FileMesh:
+    """STL, text or binary, through trimesh; corners at the same position become one vertex."""
+    from trimesh.exchange.stl import load_stl
+
+    loaded = _quietly(load_stl, content)
+    corners = _loaded_array(loaded, "vertices", np.float64)
+    faces = _loaded_array(loaded, "faces", np.int64)
+    if not len(faces):
+        raise _FormatError("has no facets, or is no STL file; is the suffix right?")
+    first, vertex_of_corner = merge_positions(corners)
+    note = (
+        f"an STL file has no vertex numbers: its {len(corners)} corners were merged by position into {len(first)} "
+        "vertices, numbered by first appearance"
+    )
+    return FileMesh(corners[first], vertex_of_corner[faces], (note,))
+
+
+_READERS: dict[str, Callable[[bytes], FileMesh]] = {
+    ".off": _read_off,
+    ".obj": _read_obj,
+    ".ply": _read_ply,
+    ".stl": _read_stl,
+}
+
+
+def _text_lines(content: bytes) -> list[bytes]:
+    """Lines without comments and blanks."""
+    if b"#" in content:
+        content = re.sub(rb"#[^\r\n]*", b"", content)
+    return [line for line in (raw.strip() for raw in content.splitlines()) if line]
+
+
+def _positions(rows: list[list[bytes]]) -> NDArray[np.float64]:
+    """(n, 3) positions from rows of three words; names the first row that is not three numbers."""
+    try:
+        return np.array(rows, dtype=np.float64).reshape(len(rows), 3)
+    except ValueError:
+        pass
+    for number, row in enumerate(rows):
+        try:
+            complete = len([float(word) for word in row]) == 3
+        except ValueError:
+            complete = False
+        if not complete:
+            raise _FormatError(f"vertex {number} is given as {_shown(b' '.join(row))}: expected three numbers")
+    raise _FormatError("its vertex positions are not numbers; export it again")
+
+
+def _triangles(polygons: list[list[bytes]]) -> NDArray[np.int64]:
+    """(m, 3) numbers from the words of each polygon, cut into a fan of triangles around its first corner."""
+    sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
+    try:
+        flat = np.array([word for polygon in polygons for word in polygon]).astype(np.int64)
+    except (ValueError, OverflowError):
+        flat = np.array([_integer(w, "face", f) for f, polygon in enumerate(polygons) for w in polygon], dtype=np.int64)
+    start = np.repeat(np.cumsum(sizes) - sizes, sizes - 2)
+    step = np.arange(len(start)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
+    return np.stack([flat[start], flat[start + step + 1], flat[start + step + 2]], axis=1) if len(start) else _NO_FACES
+
+
+_NO_FACES = np.zeros((0, 3), dtype=np.int64)
+
+
+def _integer(word: bytes, what: str, number: int) -> int:
+    """One vertex number, or the reason why the word is none."""
+    if not re.fullmatch(rb"[+-]?\d{1,18}", word):
+        raise _FormatError(f"{what} {number} contains {_shown(word)} where a vertex number is expected")
+    return int(word)
+
+
+def _shown(text: bytes) -> str:
+    """A short printable form of some of the file's bytes."""
+    shown = text[:40].decode("utf-8", errors="replace")
+    return repr(shown + ("…" if len(text) > 40 else ""))
+
+
+def _quietly(reader: Callable[..., Any], content: bytes, **options: Any) -> dict[str, Any]:
+    """Run one of trimesh's readers; whatever it raises on damaged bytes becomes one sentence."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            loaded = reader(io.BytesIO(content), **options)
+    # A damaged file makes these readers fail in any way: IndexError, KeyError, UnboundLocalError, MemoryError, ...
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:160]
+        raise _FormatError(f"is damaged, truncated or of another format ({reason}); export it again") from error
+    return dict(loaded)
+
+
+def _loaded_array(loaded: dict[str, Any], key: str, dtype: type) -> NDArray[Any]:
+    """(n, 3) array from what trimesh returned."""
+    values = loaded.get(key)
+    values = np.zeros((0, 3)) if values is None else np.asarray(values)
+    if values.size == 0:
+        return np.zeros((0, 3), dtype=dtype)
+    if values.ndim != 2 or values.shape[1] != 3 or values.dtype.kind not in "iuf":
+        raise _FormatError(f"has {key} of shape {values.shape}; expected rows of three numbers")
+    return values.astype(dtype)

@@ -1,0 +1,238 @@
+"""Edges, fans, components, areas and normals of a triangle mesh, as functions over its two arrays.
+
+Every function is vectorised and takes `vertices` (n, 3) float and `faces` (m, 3) int; faces must lie within the vertices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components as graph_components
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class EdgeTable:
+    """The edges of a mesh and the half-edges (sides of faces) that lie on them.
+
+    Half-edge `c * m + f` runs along face `f` from its corner `c` to the next one.
+    """
+
+    edges: IntArray
+    """(e, 2) vertex pairs, smaller number first, in lexicographic order."""
+    edge_of_half_edge: IntArray
+    """(3m,) the edge that a half-edge lies on."""
+    face_count: IntArray
+    """(e,) faces on each edge: 1 on the boundary, 2 inside a surface."""
+    forward: BoolArray
+    """(3m,) True where the half-edge runs from the smaller vertex number to the larger one."""
+
+
+def edge_table(faces: NDArray[np.integer], n_vertices: int) -> EdgeTable:
+    """Gather the half-edges of `faces` (m, 3) into edges; O(m log m)."""
+    faces = np.asarray(faces, dtype=np.int64)
+    tail = faces.T.ravel()
+    head = np.roll(faces, -1, axis=1).T.ravel()
+    forward = tail < head
+    keys = np.minimum(tail, head) * np.int64(n_vertices) + np.maximum(tail, head)
+    unique, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    edges = np.stack([unique // n_vertices, unique % n_vertices], axis=1) if len(unique) else np.zeros((0, 2), np.int64)
+    return EdgeTable(edges, inverse.reshape(-1).astype(np.int64), counts.astype(np.int64), forward)
+
+
+def paired_half_edges(table: EdgeTable) -> tuple[IntArray, IntArray]:
+    """Both half-edges of every edge with exactly two faces: two (p,) arrays, in the order of the edges."""
+    order = np.argsort(table.edge_of_half_edge, kind="stable")
+    start = np.concatenate([[0], np.cumsum(table.face_count)[:-1]]).astype(np.int64)
+    first = start[table.face_count == 2]
+    return order[first], order[first + 1]
+
+
+def unique_edges(faces: NDArray[np.integer], n_vertices: int | None = None) -> IntArray:
+    """Every edge once: (e, 2) vertex pairs, smaller number first, in lexicographic order."""
+    faces = np.asarray(faces, dtype=np.int64)
+    count = int(faces.max(initial=-1)) + 1 if n_vertices is None else n_vertices
+    return edge_table(faces, count).edges
+
+
+def edge_lengths(vertices: FloatArray, edges: NDArray[np.integer]) -> FloatArray:
+    """Length of each edge (e,), in the unit of the vertices."""
+    return np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
+
+
+def boundary_edges(faces: NDArray[np.integer], n_vertices: int) -> IntArray:
+    """(b, 2) edges that belong to one face only, directed as in that face."""
+    table = edge_table(faces, n_vertices)
+    lonely = table.face_count[table.edge_of_half_edge] == 1
+    tail = np.asarray(faces, dtype=np.int64).T.ravel()
+    head = np.roll(np.asarray(faces, dtype=np.int64), -1, axis=1).T.ravel()
+    return np.stack([tail[lonely], head[lonely]], axis=1)
+
+
+def boundary_vertices(faces: NDArray[np.integer], n_vertices: int) -> BoolArray:
+    """(n,) True for the vertices on the boundary."""
+    on_boundary = np.zeros(n_vertices, dtype=bool)
+    on_boundary[boundary_edges(faces, n_vertices).ravel()] = True
+    return on_boundary
+
+
+def face_normals(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
+    """(m, 3) cross products of two sides: twice the area long, right-handed."""
+    origin = vertices[faces[:, 0]]
+    return np.cross(vertices[faces[:, 1]] - origin, vertices[faces[:, 2]] - origin)
+
+
+def face_areas(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
+    """(m,) area of each face, in the squared unit of the vertices."""
+    return 0.5 * np.linalg.norm(face_normals(vertices, faces), axis=1)
+
+
+def vertex_areas(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
+    """(n,) a third of the area of the faces around each vertex; sums to the total area."""
+    areas = np.repeat(face_areas(vertices, faces) / 3.0, 3)
+    return np.bincount(np.asarray(faces).ravel(), weights=areas, minlength=len(vertices))
+
+
+def vertex_normals(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
+    """(n, 3) area-weighted unit normals; zero where a vertex has no area."""
+    normals = face_normals(vertices, faces)
+    flat = np.asarray(faces).ravel()
+    summed = np.stack(
+        [np.bincount(flat, weights=np.repeat(normals[:, axis], 3), minlength=len(vertices)) for axis in range(3)],
+        axis=1,
+    )
+    length = np.linalg.norm(summed, axis=1, keepdims=True)
+    return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)
+
+
+def connected_components(faces: NDArray[np.integer], n_vertices: int) -> tuple[int, IntArray]:
+    """Count the pieces joined by shared vertices, and label each vertex (n,); an unreferenced vertex is its own piece."""
+    tail = np.asarray(faces).ravel()
+    head = np.roll(np.asarray(faces), -1, axis=1).ravel()
+    return graph_pieces(n_vertices, tail, head)
+
+
+def face_components(table: EdgeTable, n_faces: int) -> tuple[int, IntArray]:
+    """Count the patches of faces joined across edges with exactly two faces, and label each face (m,)."""
+    one, other = paired_half_edges(table)
+    return graph_pieces(n_faces, one % n_faces, other % n_faces)
+
+
+def corner_fans(faces: NDArray[np.integer], one: IntArray, other: IntArray) -> tuple[int, IntArray]:
+    """Join the corners of faces that are glued along pairs of half-edges into fans.
+
+    Parameters
+    ----------
+    faces : (m, 3) int
+    one, other : (p,) int
+        half-edges glued to each other (see `EdgeTable`).
+
+    Returns
+    -------
+    count, fan : int, (m, 3) int
+        On a manifold each vertex has one fan; with fewer pairs the fans are the vertices of the surface cut open.
+    """
+    faces = np.asarray(faces, dtype=np.int64)
+    n_faces = len(faces)
+    tail = faces.T.ravel()
+    following = (np.arange(3 * n_faces) + n_faces) % max(3 * n_faces, 1)
+    same_way = tail[one] == tail[other]
+    first = np.concatenate([one, following[one]])
+    second = np.concatenate([np.where(same_way, other, following[other]), np.where(same_way, following[other], other)])
+    count, label = graph_pieces(3 * n_faces, first, second)
+    return count, label.reshape(3, n_faces).T
+
+
+def coherent_orientation(
+    n_faces: int, one: IntArray, other: IntArray, forward: BoolArray
+) -> tuple[BoolArray, BoolArray]:
+    """Find which faces to turn so that glued faces agree, turning as few as possible in each patch.
+
+    The patches of the double cover (every face in both orientations) come in pairs; a patch that is joined to its own
+    reverse cannot be oriented.
+
+    Parameters
+    ----------
+    n_faces : int
+    one, other : (p,) int
+        glued half-edges.
+    forward : (3m,) bool
+        direction of each half-edge along its edge.
+
+    Returns
+    -------
+    turn, twisted : (m,) bool each
+        faces to reverse, and faces of patches that have no orientation.
+    """
+    a, b = one % n_faces, other % n_faces
+    conflict = forward[one] == forward[other]
+    first = np.concatenate([a, a + n_faces])
+    second = np.concatenate([np.where(conflict, b + n_faces, b), np.where(conflict, b, b + n_faces)])
+    count, label = graph_pieces(2 * n_faces, first, second)
+    kept = np.bincount(label[:n_faces], minlength=count)
+    turned = np.bincount(label[n_faces:], minlength=count)
+    twisted = label[:n_faces] == label[n_faces:]
+    mine, mirror = label[:n_faces], label[n_faces:]
+    votes = kept[mine] - turned[mine]
+    turn = np.where(votes == 0, mine > mirror, votes < 0) & ~twisted
+    return turn, twisted
+
+
+def signed_volume(vertices: FloatArray, faces: NDArray[np.integer]) -> float:
+    """Volume enclosed by a closed surface, positive if its faces point outward."""
+    corners = vertices[faces]
+    return float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
+
+
+def merge_positions(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Find points with bitwise equal positions (0.0 and -0.0 count as equal).
+
+    Parameters
+    ----------
+    points : (n, 3) float
+
+    Returns
+    -------
+    first : (u,) int
+        the first point at every position, ascending.
+    merged : (n,) int
+        for every point, which of the u positions it lies at.
+    """
+    key = np.zeros(len(points), dtype=np.int64)
+    for axis in range(points.shape[1]):
+        values, rank = np.unique(points[:, axis] + 0.0, return_inverse=True)
+        _, key = np.unique(key * len(values) + rank.reshape(-1), return_inverse=True)
+        key = key.reshape(-1).astype(np.int64)
+    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    place = np.zeros(len(first), dtype=np.int64)
+    place[order] = np.arange(len(first))
+    return first[order].astype(np.int64), place[inverse.reshape(-1)]
+
+
+def boxed(vertices: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Bring the bounding box to the range -1 to 1, so that squares and products of coordinates stay within float64.
+
+    Returns
+    -------
+    inside : (n, 3) float
+    middle : (3,) float
+    extent : float
+        `vertices == inside * extent + middle` up to rounding; half the longest side of the box.
+    """
+    middle = 0.5 * vertices.min(axis=0) + 0.5 * vertices.max(axis=0)
+    extent = float(np.abs(vertices - middle).max())
+    return (vertices - middle) / (extent if extent > 0 else 1.0), middle, extent
+
+
+def graph_pieces(n_nodes: int, first: NDArray[np.integer], second: NDArray[np.integer]) -> tuple[int, IntArray]:
+    """Connected components of an undirected graph given by its edge list."""
+    graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(n_nodes, n_nodes))
+    count, label = graph_components(graph, directed=False)
+    return int(count), label.astype(np.int64)
