@@ -1,0 +1,206 @@
+"""What ``match`` and ``demo`` share: options, the match with its progress, the result folder and the summary."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clalign.cli.terminal import Terminal, table
+
+if TYPE_CHECKING:
+    from clalign.correspondence import Correspondence
+    from clalign.evaluation.errors import Evaluation
+    from clalign.evaluation.truth import Truth
+    from clalign.geometry.mesh import Mesh
+    from clalign.options import Options
+
+PICTURE_FILE = "match.png"
+REPORT_FILE = "report.html"
+EVALUATION_FILE = "evaluation.json"
+
+#: Lengths are in sqrt(area); the literature prints them times 100.
+_PERCENT = 100.0
+
+
+@dataclass(frozen=True)
+class Truths:
+    """The true map, and that of the left-right confusion where it is known."""
+
+    truth: Truth
+    mirrored: Truth | None = None
+
+
+def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> None:
+    """Add the arguments that every command has which matches one pair."""
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=default_folder, help="result folder (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--preset",
+        metavar="NAME",
+        default="default",
+        help="'default', 'fast', or 'paper' for the method as printed (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--device",
+        metavar="SPEC",
+        help="'gpu', 'cpu', PLATFORM:DEVICE numbers or part of a name as 'clalign doctor' lists them, or 'reference' "
+        "for plain numpy",
+    )
+    parser.add_argument("--seed", metavar="N", type=int, help="seed of everything that is drawn (default: 0)")
+    parser.add_argument(
+        "--orientation", metavar="WORD", help="'preserving' (default), 'reversing' for mirrored maps, or 'any'"
+    )
+    parser.add_argument(
+        "--metric", metavar="NAME", help="'power' (default), 'regularized', 'euclidean', 'heat-kernel' or 'auto'"
+    )
+    parser.add_argument("--alternatives", metavar="N", type=int, help="keep the N best different maps too")
+    parser.add_argument(
+        "--set",
+        metavar="GROUP.NAME=VALUE",
+        action="append",
+        default=[],
+        dest="changes",
+        help="change any single option; may be repeated",
+    )
+    parser.add_argument("--no-cache", action="store_true", help="compute everything anew and store nothing for later")
+    parser.add_argument("--no-picture", action="store_true", help="do not draw match.png")
+    parser.add_argument("--no-report", action="store_true", help="do not write report.html")
+    parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
+    parser.add_argument("--json", action="store_true", help="print the summary as one JSON document")
+
+
+def options_from(args: argparse.Namespace) -> Options:
+    """Return the options of a command line: preset, then the named arguments, then every ``--set``.
+
+    Raises
+    ------
+    OptionError
+        An unknown preset or option, or a value outside its range.
+    """
+    from clalign.errors import OptionError
+    from clalign.options import Options
+
+    changes: dict[str, Any] = {
+        "seed": args.seed,
+        "search.orientation": args.orientation,
+        "search.alternatives": args.alternatives,
+        "spectrum.metric": args.metric,
+    }
+    if args.device == "reference":
+        changes["engine.backend"] = "reference"
+    else:
+        changes["engine.device"] = args.device
+    changes = {name: value for name, value in changes.items() if value is not None}
+    for change in args.changes:
+        name, equals, value = change.partition("=")
+        if not equals:
+            raise OptionError(f"--set {change}: expected GROUP.NAME=VALUE, such as alignment.weight=50")
+        changes[name.strip()] = value.strip()
+    return Options.preset(args.preset).replace(changes)
+
+
+def run_job(
+    source_path: Path,
+    target_path: Path,
+    args: argparse.Namespace,
+    truths_of: Callable[[Mesh, Mesh], Truths | None],
+    *,
+    force: bool,
+) -> int:
+    """Match two files, write the result folder, show the summary, and return the exit status.
+
+    Everything that can be wrong with the input is found before the long work starts.
+    """
+    options = options_from(args)
+    terminal = Terminal(quiet=args.quiet, as_json=args.json)
+
+    from clalign.correspondence import FACTS_FILE
+    from clalign.geometry.mesh import load_mesh
+    from clalign.storage import check_destination
+
+    check_destination(args.out, FACTS_FILE, force=force)
+    source, target = load_mesh(source_path), load_mesh(target_path)
+    truths = truths_of(source, target)
+    for role, mesh in (("source", source), ("target", target)):
+        terminal.note(f"{role}: {mesh.path}, {mesh.n_vertices:,} vertices, {mesh.n_faces:,} faces")
+        for line in mesh.notes:
+            terminal.note(f"  {line}")
+
+    result = _matched(source, target, options, args, terminal)
+    evaluation = None
+    if truths is not None:
+        from clalign.evaluation.errors import evaluate
+
+        evaluation = evaluate(result, truths.truth, mirrored=truths.mirrored, seed=options.seed)
+    result.save(args.out, force=force, extra_files=_extra_files(result, evaluation, args, terminal))
+    _show_summary(result, evaluation, args.out, terminal)
+    return 0
+
+
+def _matched(
+    source: Mesh, target: Mesh, options: Options, args: argparse.Namespace, terminal: Terminal
+) -> Correspondence:
+    import clalign
+
+    with terminal.progress() as progress:
+        return clalign.match(source, target, options, progress=progress)
+
+
+def _extra_files(
+    result: Correspondence, evaluation: Evaluation | None, args: argparse.Namespace, terminal: Terminal
+) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        if evaluation is not None:
+            evaluation.write_json(folder / EVALUATION_FILE)
+        if not args.no_picture:
+            _write_picture(result, folder, terminal)
+
+    return write
+
+
+def _write_picture(result: Correspondence, folder: Path, terminal: Terminal) -> None:
+    try:
+        from clalign.presentation.picture import save_match_picture
+    except ImportError as error:
+        terminal.warn(f"{PICTURE_FILE} was not drawn: {error}; install it with: pip install 'clalign[plots]'")
+        return
+    save_match_picture(result, folder / PICTURE_FILE)
+
+
+def _show_summary(result: Correspondence, evaluation: Evaluation | None, folder: Path, terminal: Terminal) -> None:
+    for warning in result.warnings:
+        terminal.warn(warning)
+    stages = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in result.timings.items())
+    losses = ", ".join(f"{name} {value:.4g}" for name, value in result.losses.items())
+    rows = [
+        ("device", result.device),
+        ("timings", stages),
+        ("losses", losses),
+        ("confidence", f"{result.confidence:.2f} of 1; orientation kept {result.orientation:+.2f} (1: everywhere)"),
+    ]
+    if evaluation is not None:
+        rows += _error_rows(evaluation)
+    rows.append(("result", f"{folder}/"))
+    for line in table(rows, indent=""):
+        terminal.say(line)
+    document = {"folder": str(folder), **result.facts()}
+    if evaluation is not None:
+        document["evaluation"] = evaluation.as_dict()
+    terminal.document(document)
+
+
+def _error_rows(evaluation: Evaluation) -> list[tuple[str, str]]:
+    rows = [
+        (
+            "error",
+            f"mean {_PERCENT * evaluation.mean:.3f}, median {_PERCENT * evaluation.median:.3f} (x100 / sqrt(area), "
+            f"{evaluation.points.size} points), exact {evaluation.exact:.1%}",
+        )
+    ]
+    if evaluation.mirrored_mean is not None:
+        rows.append(("mirrored", f"mean {_PERCENT * evaluation.mirrored_mean:.3f} to the mirror image of the truth"))
+    return rows

@@ -1,0 +1,135 @@
+"""Entry point of the ``clalign`` command.
+
+A command is a module of this folder with ``add_parser(subparsers)`` and ``run(args) -> int``. Modules are imported
+for ``--help``, so they import everything heavy inside ``run``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import logging
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Sequence
+from typing import Protocol, TextIO
+
+from clalign import __version__
+from clalign.cli import demo, match
+from clalign.errors import ClalignError, DeviceError, InputError
+
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_INTERRUPTED = 130
+
+
+class Command(Protocol):
+    """What a module of this folder offers."""
+
+    def add_parser(self, subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+        """Add the command's parser and set its ``run`` default."""
+
+
+COMMANDS: tuple[Command, ...] = (match, demo)
+
+_DESCRIPTION = "Dense correspondence between two non-rigid triangle meshes, computed with OpenCL."
+_EPILOG = """\
+exit status: 0 done, 1 failed, 2 bad input or usage, 130 interrupted with nothing to keep
+environment: CLALIGN_DEVICE (default of --device), CLALIGN_CACHE (folder of the cache), CLALIGN_DEBUG=1 (full traces)
+"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the program with all commands."""
+    parser = argparse.ArgumentParser(
+        prog="clalign",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"clalign {__version__}")
+    subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add_parser(subparsers)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status; no failure that clalign raises on purpose shows a stack trace."""
+    args = build_parser().parse_args(arguments)
+    debug = os.environ.get("CLALIGN_DEBUG", "") not in ("", "0")
+    _set_up_messages(debug)
+    try:
+        status: int = args.run(args)
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        # The reader of standard output has gone; without this Python would complain once more while shutting down.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        print("interrupted: there was nothing to keep yet", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except ClalignError as error:
+        if debug:
+            traceback.print_exc()
+        print(f"error: {error}", file=sys.stderr)
+        if isinstance(error, DeviceError):
+            print("run 'clalign doctor' to see what OpenCL finds on this machine", file=sys.stderr)
+        return exit_status(error)
+    except Exception as error:  # the last resort between a defect and a user
+        if debug:
+            raise
+        print(f"error: {_unforeseen(error)}", file=sys.stderr)
+        return EXIT_FAILED
+
+
+def exit_status(error: ClalignError) -> int:
+    """Return 2 for input that cannot be used and 1 for a failure, which a full disk is however it is reported."""
+    cause = error.__cause__
+    if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG):
+        return EXIT_FAILED
+    return EXIT_USAGE if isinstance(error, InputError) else EXIT_FAILED
+
+
+def _unforeseen(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        return "the machine has no memory left for this; 'clalign match --preset fast' needs less"
+    what = f"{type(error).__name__}: {error}".rstrip(": ").replace("\n", " ")
+    return f"{what} (not foreseen; please report it with the trace that CLALIGN_DEBUG=1 shows)"
+
+
+def _set_up_messages(debug: bool) -> None:
+    """Send the library's log and Python's warnings to standard error, one line each."""
+    logging.basicConfig(
+        stream=sys.stderr,
+        level=logging.DEBUG if debug else logging.ERROR,
+        format="%(levelname)s %(name)s: %(message)s",
+    )
+    logging.getLogger("clalign").setLevel(logging.DEBUG if debug else logging.WARNING)
+    for noisy in ("matplotlib", "PIL", "pytools", "trimesh"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
+    if not debug:
+        warnings.showwarning = _show_warning
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    # What other libraries warn of (deprecations, mostly) is nothing that a user of the command can act on.
+    from clalign.errors import ClalignWarning
+
+    if issubclass(category, ClalignWarning):
+        print(f"warning: {message}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,88 @@
+"""``clalign match SOURCE TARGET``: match two mesh files and write the result folder."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clalign.cli.job import Truths, add_job_arguments, run_job
+
+if TYPE_CHECKING:
+    from clalign.geometry.mesh import Mesh
+
+DEFAULT_FOLDER = Path("clalign-result")
+
+_DESCRIPTION = """\
+Find for every vertex of SOURCE the corresponding vertex of TARGET, and the other way round. Meshes are OFF, PLY, OBJ
+or STL files of one connected surface each. The result folder gets both maps as text (line i: 0-based vertex of the
+other file), result.npz, result.json and match.png; it is written wholly or not at all.
+"""
+
+_EPILOG = """\
+examples:
+  clalign match cat0.off cat7.off
+  clalign match a.ply b.ply --out a-to-b --truth identity --seed 1
+  clalign match a.ply b.ply --preset fast --set spectrum.basis=80 --set alignment.weight=50
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``match`` to the program."""
+    parser = subparsers.add_parser(
+        "match",
+        help="match two mesh files",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("source", metavar="SOURCE", type=Path, help="mesh whose vertices are mapped")
+    parser.add_argument("target", metavar="TARGET", type=Path, help="mesh that they are mapped to")
+    add_job_arguments(parser, DEFAULT_FOLDER)
+    parser.add_argument("--force", action="store_true", help="replace an earlier result in DIR")
+    parser.add_argument(
+        "--truth",
+        metavar="FILE",
+        action="append",
+        default=[],
+        help="measure the error: FILE holds the target vertex (0-based) of source vertex i in line i, or is the word "
+        "'identity'; given twice, line i of both files names the same point on the source and on the target",
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Match the two files of the command line."""
+    return run_job(
+        args.source, args.target, args, lambda source, target: read_truths(args.truth, source, target), force=args.force
+    )
+
+
+def read_truths(files: list[str], source: Mesh, target: Mesh) -> Truths | None:
+    """Read what ``--truth`` names and check it against the meshes.
+
+    Raises
+    ------
+    ResultError
+        A file cannot be read or does not fit the meshes.
+    """
+    from clalign.errors import OptionError, ResultError
+    from clalign.evaluation.truth import Truth, read_index_truth, read_pair_truth
+
+    if not files:
+        return None
+    if len(files) > 2:
+        raise OptionError(f"--truth may be given once or twice, not {len(files)} times")
+    if len(files) == 2:
+        return Truths(
+            read_pair_truth(files[0], files[1], source_count=source.file_count, target_count=target.file_count)
+        )
+    if files[0] == "identity":
+        if source.file_count != target.file_count:
+            raise ResultError(
+                f"--truth identity: the source has {source.file_count} vertices and the target {target.file_count}; "
+                "equal numbering needs equal counts"
+            )
+        return Truths(Truth.identity(source.file_count))
+    return Truths(read_index_truth(files[0], source_count=source.file_count, target_count=target.file_count))
