@@ -10,6 +10,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from clalign.errors import MeshError
+
 from .mesh import Mesh
 from .operators import lumped_mass
 

@@ -10,6 +10,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from clalign.options import Options
+
 from . import operators
 from .geodesics import DistanceFactors, Geodesics, farthest_point_geodesics, low_rank
 from .mesh import Mesh
