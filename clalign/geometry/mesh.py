@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clalign.errors import MeshError
-from clalign.geometry.mesh_checks import Diagnosis, diagnose
+from clalign.geometry.mesh_checks import diagnose
+from clalign.geometry.mesh_defects import Diagnosis
 from clalign.geometry.mesh_files import FileMesh, read_mesh_file
 from clalign.geometry.mesh_topology import boxed, face_areas
 
@@ -101,7 +102,7 @@ def mesh_from_arrays(
     MeshError
         if there is a defect that the method cannot work with.
     """
-    diagnosis = diagnose(vertices, faces)
+    diagnosis = diagnose(vertices, faces, name if path is None else os.fspath(path))
     return _mesh_from_diagnosis(diagnosis, name, None if path is None else os.fspath(path), ())
 
 
@@ -135,12 +136,12 @@ def as_mesh(thing: Any, name: str = "mesh") -> Mesh:
 
 def _mesh_from_file(raw: FileMesh, path: Path) -> Mesh:
     """Check and scale what was read from `path`."""
-    return _mesh_from_diagnosis(diagnose(raw.vertices, raw.faces), path.stem, str(path), raw.notes)
+    return _mesh_from_diagnosis(diagnose(raw.vertices, raw.faces, str(path)), path.stem, str(path), raw.notes)
 
 
 def _mesh_from_diagnosis(diagnosis: Diagnosis, name: str, path: str | None, notes: tuple[str, ...]) -> Mesh:
     """Refuse with the reasons, or scale the surface that the diagnosis left."""
-    surface = diagnosis.usable_surface(name if path is None else path)
+    surface = diagnosis.usable_surface(name, path)
     vertices, scale, offset = unit_area(surface.vertices, surface.faces)
     notes = notes + diagnosis.notes
     for note in notes:

@@ -1,8 +1,9 @@
 """Reading mesh files with their vertex numbers kept, and writing meshes for other tools.
 
-trimesh keeps a file's numbering only for OFF and PLY: an OBJ with texture coordinates comes back split at the seams, and
-an STL has no numbering at all. PLY and STL are read through trimesh's format functions and compared with the file's own
-counts. OFF and OBJ are read here, which also lets a bad face be named by its number instead of being dropped or wrapped.
+trimesh keeps a file's numbering only for OFF and PLY: an OBJ with texture coordinates comes back split at the seams,
+and an STL has no numbering at all. PLY and STL are read through trimesh's format functions and compared with the file's
+own counts. OFF and OBJ are read here, which also lets a bad face be named by its number instead of being dropped or
+wrapped.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clalign.errors import MeshError
 from clalign.geometry.mesh_topology import merge_positions

@@ -1,6 +1,7 @@
 """Edges, fans, components, areas and normals of a triangle mesh, as functions over its two arrays.
 
-Every function is vectorised and takes `vertices` (n, 3) float and `faces` (m, 3) int; faces must lie within the vertices.
+Every function is vectorised and takes `vertices` (n, 3) float and `faces` (m, 3) int, which must be valid numbers of
+vertices.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ from scipy.sparse.csgraph import connected_components as graph_components
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+CAP_AREA = 0.1
+"""Holes whose flat caps take less than this part of the area leave no doubt about which side is outside."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +99,8 @@ def face_areas(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
 
 def vertex_areas(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
     """(n,) a third of the area of the faces around each vertex; sums to the total area."""
-    areas = np.repeat(face_areas(vertices, faces) / 3.0, 3)
-    return np.bincount(np.asarray(faces).ravel(), weights=areas, minlength=len(vertices))
+    areas: FloatArray = np.repeat(face_areas(vertices, faces) / 3.0, 3)
+    return np.bincount(np.asarray(faces).ravel(), weights=areas, minlength=len(vertices)).astype(np.float64)
 
 
 def vertex_normals(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
@@ -112,7 +116,7 @@ def vertex_normals(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArr
 
 
 def connected_components(faces: NDArray[np.integer], n_vertices: int) -> tuple[int, IntArray]:
-    """Count the pieces joined by shared vertices, and label each vertex (n,); an unreferenced vertex is its own piece."""
+    """Count the pieces joined by shared vertices, and label each vertex (n,); a lone vertex is a piece."""
     tail = np.asarray(faces).ravel()
     head = np.roll(np.asarray(faces), -1, axis=1).ravel()
     return graph_pieces(n_vertices, tail, head)
@@ -149,8 +153,16 @@ def corner_fans(faces: NDArray[np.integer], one: IntArray, other: IntArray) -> t
     return count, label.reshape(3, n_faces).T
 
 
+def fan_counts(faces: NDArray[np.integer], table: EdgeTable, n_vertices: int) -> IntArray:
+    """Count the fans of faces around each vertex (n,): 1 on a manifold, more where sheets touch, 0 if unreferenced."""
+    count, fan = corner_fans(faces, *paired_half_edges(table))
+    vertex_of_fan = np.zeros(count, dtype=np.int64)
+    vertex_of_fan[fan.ravel()] = np.asarray(faces).ravel()
+    return np.bincount(vertex_of_fan, minlength=n_vertices).astype(np.int64)
+
+
 def coherent_orientation(
-    n_faces: int, one: IntArray, other: IntArray, forward: BoolArray
+    faces: NDArray[np.integer], table: EdgeTable, one: IntArray, other: IntArray
 ) -> tuple[BoolArray, BoolArray]:
     """Find which faces to turn so that glued faces agree, turning as few as possible in each patch.
 
@@ -159,19 +171,20 @@ def coherent_orientation(
 
     Parameters
     ----------
-    n_faces : int
+    faces : (m, 3) int
+    table : EdgeTable
+        of the faces.
     one, other : (p,) int
-        glued half-edges.
-    forward : (3m,) bool
-        direction of each half-edge along its edge.
+        half-edges glued to each other.
 
     Returns
     -------
     turn, twisted : (m,) bool each
         faces to reverse, and faces of patches that have no orientation.
     """
+    n_faces = len(faces)
     a, b = one % n_faces, other % n_faces
-    conflict = forward[one] == forward[other]
+    conflict = table.forward[one] == table.forward[other]
     first = np.concatenate([a, a + n_faces])
     second = np.concatenate([np.where(conflict, b + n_faces, b), np.where(conflict, b, b + n_faces)])
     count, label = graph_pieces(2 * n_faces, first, second)
@@ -214,6 +227,50 @@ def merge_positions(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDA
     place = np.zeros(len(first), dtype=np.int64)
     place[order] = np.arange(len(first))
     return first[order].astype(np.int64), place[inverse.reshape(-1)]
+
+
+def outward_sign(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> int:
+    """+1 if the faces of an oriented surface point outward, -1 if inward, 0 if a boundary leaves it open.
+
+    Small holes are closed with flat caps, so that a body with a missing patch still has an inside.
+    """
+    inside, _, _ = boxed(vertices)
+    edges = boundary_edges(faces, len(vertices))
+    volume = signed_volume(inside, faces)
+    if len(edges):
+        count, label = edge_loops(edges)
+        summed = np.stack([np.bincount(label, weights=inside[edges[:, 0], axis]) for axis in range(3)], axis=1)
+        tips = summed / np.bincount(label, minlength=count)[:, None]
+        caps = np.stack([inside[edges[:, 1]], inside[edges[:, 0]], tips[label]], axis=1).reshape(-1, 3)
+        cap_faces = np.arange(len(caps)).reshape(-1, 3)
+        if face_areas(caps, cap_faces).sum() > CAP_AREA * face_areas(inside, faces).sum():
+            return 0
+        volume += signed_volume(caps, cap_faces)
+    # A flat pillow has no inside either; rounding must not choose one.
+    return 0 if abs(volume) < 1e-9 else int(np.sign(volume))
+
+
+def turned(faces: NDArray[np.int64], turn: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Copy of `faces` (m, 3) with the marked ones reversed."""
+    return np.where(turn[:, None], faces[:, [0, 2, 1]], faces)
+
+
+def duplicate_faces(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(m,) True for every face on the same three vertices as an earlier one, in whatever order."""
+    corners = np.sort(faces, axis=1)
+    order = np.lexsort((np.arange(len(faces)), corners[:, 2], corners[:, 1], corners[:, 0]))
+    repeated = (np.diff(corners[order], axis=0) == 0).all(axis=1)
+    bad = np.zeros(len(faces), dtype=bool)
+    bad[order[1:][repeated]] = True
+    return bad
+
+
+def edge_loops(edges: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
+    """Number of connected pieces of an edge list (b, 2), and the piece of every edge."""
+    numbers, compact = np.unique(edges, return_inverse=True)
+    compact = compact.reshape(-1, 2)
+    count, label = graph_pieces(len(numbers), compact[:, 0], compact[:, 1])
+    return count, label[compact[:, 0]]
 
 
 def boxed(vertices: FloatArray) -> tuple[FloatArray, FloatArray, float]:
