@@ -1,0 +1,90 @@
+"""Distances on the target that errors are measured in."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.geometry.geodesics import HeatMethod
+from clalign.geometry.mesh import Mesh
+
+DistanceMethod = Literal["heat", "bounded"]
+METHODS: dict[str, str] = {
+    "heat": "heat method (potpourri3d)",
+    "bounded": "heat method (potpourri3d), at least the straight distance",
+}
+DIAMETER_SWEEPS = 8
+
+
+class Distances:
+    """Geodesic distances on one mesh in sqrt(area), from rows of the heat method.
+
+    The heat method underestimates the distance to the next vertex by about a tenth (measured on bodies of 5,000 to
+    7,000 vertices: 0.88 of the edge on average, 0.96 two edges away). "bounded" replaces whatever is below the
+    straight distance by it, which no geodesic is shorter than.
+    """
+
+    def __init__(self, mesh: Mesh, method: DistanceMethod = "heat") -> None:
+        self._mesh = mesh
+        self._heat = HeatMethod(mesh)
+        self._bounded = method == "bounded"
+
+    def row(self, vertex: int) -> NDArray[np.float64]:
+        """Return the (n,) distances from one vertex."""
+        row = self._heat.row(vertex)
+        if self._bounded:
+            row = np.maximum(row, np.linalg.norm(self._mesh.vertices - self._mesh.vertices[vertex], axis=1))
+        return row
+
+    def from_matches(
+        self, matches: NDArray[np.int64], truth: NDArray[np.int64], mirrored: NDArray[np.int64] | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Return (p,) distances from matched vertices to the true ones, and to the mirrored ones where given.
+
+        One row from the match serves both, and points with one match share it.
+        """
+        errors = np.empty(matches.size)
+        mirrored_errors = None if mirrored is None else np.empty(matches.size)
+        for match, points in _grouped(matches):
+            row = self.row(match)
+            errors[points] = row[truth[points]]
+            if mirrored is not None and mirrored_errors is not None:
+                mirrored_errors[points] = row[mirrored[points]]
+        return errors, mirrored_errors
+
+    def to_face_points(
+        self, truth: NDArray[np.int64], corners: NDArray[np.int32], weights: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return (p,) distances from true vertices to points inside faces.
+
+        In a face that has the true vertex as a corner it is the straight distance, which is exact there; in others
+        the distances of the corners (p, 3) are interpolated by the barycentric weights (p, 3).
+        """
+        distances = np.empty(truth.size)
+        for vertex, points in _grouped(truth):
+            distances[points] = np.sum(self.row(vertex)[corners[points]] * weights[points], axis=1)
+        places = np.einsum("pc,pcx->px", weights, self._mesh.vertices[corners])
+        straight = np.linalg.norm(places - self._mesh.vertices[truth], axis=1)
+        adjacent = (corners == truth[:, None]).any(axis=1)
+        return np.where(adjacent | (self._bounded & (straight > distances)), straight, distances)
+
+    def diameter(self) -> float:
+        """Return the largest distance seen from `DIAMETER_SWEEPS` farthest points, starting far from the centroid."""
+        centre = self._mesh.vertices.mean(axis=0)
+        vertex = int(np.square(self._mesh.vertices - centre).sum(axis=1).argmax())
+        gap = np.full(self._mesh.n_vertices, np.inf)
+        diameter = 0.0
+        for _ in range(DIAMETER_SWEEPS):
+            row = self.row(vertex)
+            diameter = max(diameter, float(row.max()))
+            gap = np.minimum(gap, row)
+            vertex = int(gap.argmax())
+        return diameter
+
+
+def _grouped(vertices: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
+    """Return every distinct vertex with the positions where it stands."""
+    distinct, first = np.unique(np.sort(vertices), return_index=True)
+    return list(zip(distinct.tolist(), np.split(np.argsort(vertices, kind="stable"), first[1:]), strict=True))

@@ -1,0 +1,90 @@
+"""What a benchmark runs: one method with its settings, called with two meshes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.geometry.mesh import Mesh
+from clalign.options import Options
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a method found for one pair.
+
+    target_of_source : (file vertices of X,) int64 in file numbering, -1 for none.
+    seconds : of the whole method.
+    stages : seconds of its parts, by name.
+    confidence, orientation : as in `Correspondence`; None for methods without.
+    barycentric : target faces and weights of matches inside faces, or None.
+    """
+
+    target_of_source: NDArray[np.int64]
+    seconds: float
+    stages: Mapping[str, float] = field(default_factory=dict)
+    confidence: float | None = None
+    orientation: float | None = None
+    barycentric: tuple[NDArray[np.integer], NDArray[np.float64]] | None = None
+
+
+class Method(Protocol):
+    """A method can be sent to another process and says what its results depend on."""
+
+    @property
+    def name(self) -> str:
+        """Label in tables."""
+
+    @property
+    def settings(self) -> str:
+        """Short text that differs when results may differ."""
+
+    def __call__(self, source: Mesh, target: Mesh) -> Outcome:
+        """Match one pair."""
+
+
+@dataclass(frozen=True)
+class AlignMethod:
+    """`clalign.match` with some options."""
+
+    name: str
+    options: Options = field(default_factory=Options)
+
+    @property
+    def settings(self) -> str:
+        """Version of the package and a digest of the options."""
+        from clalign import __version__
+
+        return f"{__version__}-{digest(self.options.as_dict())}"
+
+    def __call__(self, source: Mesh, target: Mesh) -> Outcome:
+        """Match one pair."""
+        from clalign.matching import match
+
+        start = time.perf_counter()
+        result = match(source, target, self.options)
+        seconds = time.perf_counter() - start
+        barycentric = None
+        if result.source_faces is not None and result.source_barycentric is not None:
+            barycentric = (result.source_faces, result.source_barycentric)
+        return Outcome(
+            target_of_source=result.target_of_source,
+            seconds=seconds,
+            stages=result.timings,
+            confidence=result.confidence,
+            orientation=result.orientation,
+            barycentric=barycentric,
+        )
+
+
+def digest(values: Mapping[str, Any]) -> str:
+    """Return eight letters that tell settings apart."""
+    text = json.dumps(values, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]

@@ -1,0 +1,106 @@
+"""One pair of a benchmark: its files, and the meshes with their truth once loaded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from clalign.errors import ResultError
+from clalign.geometry.mesh import Mesh, load_mesh
+
+from .perturb import renumber
+from .truth import Truth, read_mirror, read_pair_truth
+
+
+@dataclass(frozen=True)
+class TruthFiles:
+    """Where the truth of a pair is.
+
+    kind : "identity" (vertex i ↔ vertex i) or "lines" (line i of two files is the same point; ``.vts`` is 1-based).
+    source, target : the two files of "lines".
+    mirror : file whose line i is the mirror image of line i, or None.
+    """
+
+    kind: Literal["identity", "lines"] = "identity"
+    source: Path | None = None
+    target: Path | None = None
+    mirror: Path | None = None
+
+    def missing(self) -> list[Path]:
+        """Return the files that do not exist."""
+        return [path for path in (self.source, self.target, self.mirror) if path is not None and not path.is_file()]
+
+    def read(self, source: Mesh, target: Mesh) -> tuple[Truth, Truth | None]:
+        """Return the truth and the mirrored truth.
+
+        Raises
+        ------
+        ResultError
+            The files are wrong, or "identity" stands between meshes of different vertex counts.
+        """
+        if self.kind == "lines" and self.source is not None and self.target is not None:
+            truth = read_pair_truth(
+                self.source, self.target, source_count=source.file_count, target_count=target.file_count
+            )
+        elif source.file_count == target.file_count:
+            truth = Truth.identity(source.file_count)
+        else:
+            raise ResultError(
+                f"{source.name} has {source.file_count} vertices and {target.name} has {target.file_count}: vertex i "
+                "cannot be vertex i of the other"
+            )
+        if self.mirror is None:
+            return truth, None
+        return truth, truth.mirrored(read_mirror(self.mirror, count=truth.count))
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A pair in memory: `truth` and `mirrored` speak of the meshes as they are here (renumbered, if so asked)."""
+
+    name: str
+    source: Mesh
+    target: Mesh
+    truth: Truth
+    mirrored: Truth | None
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A pair of meshes to be matched.
+
+    name : unique in its suite, "ap0 ap4".
+    source_path, target_path : mesh files.
+    truth : where the truth is.
+    shuffle_seed : when not None, the target's vertices and faces get a random order before matching, because one
+        vertex order on both meshes flatters every method.
+    """
+
+    name: str
+    source_path: Path
+    target_path: Path
+    truth: TruthFiles
+    shuffle_seed: int | None = None
+
+    def missing(self) -> list[Path]:
+        """Return the files of this pair that do not exist."""
+        meshes = [path for path in (self.source_path, self.target_path) if not path.is_file()]
+        return meshes + self.truth.missing()
+
+    def load(self) -> Problem:
+        """Read everything.
+
+        Raises
+        ------
+        MeshError, ResultError
+            A file is missing or wrong; the message names it.
+        """
+        source, target = load_mesh(self.source_path), load_mesh(self.target_path)
+        truth, mirrored = self.truth.read(source, target)
+        if self.shuffle_seed is not None:
+            shuffled = renumber(target, self.shuffle_seed)
+            target, new_of_old = shuffled.mesh, shuffled.truth.target_points
+            truth = truth.renumbered(target=new_of_old)
+            mirrored = None if mirrored is None else mirrored.renumbered(target=new_of_old)
+        return Problem(self.name, source, target, truth, mirrored)

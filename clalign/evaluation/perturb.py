@@ -1,0 +1,152 @@
+"""Changed copies of a mesh whose truth to the original is known: what a matcher should not be disturbed by."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from clalign.errors import InputError
+from clalign.geometry.mesh import Mesh, mesh_from_arrays
+
+from .truth import Truth
+
+NEIGHBOURS = 8
+
+
+@dataclass(frozen=True)
+class Perturbed:
+    """A changed mesh and the truth from the original (source) to it (target)."""
+
+    mesh: Mesh
+    truth: Truth
+
+
+def renumber(mesh: Mesh, seed: int = 0) -> Perturbed:
+    """Give vertices and faces a random order, and each face a random first corner.
+
+    ``truth.target_points[v]`` is the new number of the old file vertex v.
+    """
+    rng = np.random.default_rng(seed)
+    new_of_old = rng.permutation(mesh.file_count)
+    new_file_index = new_of_old[mesh.file_index]
+    order = np.argsort(new_file_index)
+    new_compact = np.empty(mesh.n_vertices, dtype=np.int64)
+    new_compact[order] = np.arange(mesh.n_vertices)
+    faces = new_compact[mesh.faces[rng.permutation(mesh.n_faces)]]
+    turns = (np.arange(3)[None, :] + rng.integers(0, 3, mesh.n_faces)[:, None]) % 3
+    changed = dataclasses.replace(
+        mesh,
+        vertices=mesh.vertices[order],
+        faces=np.take_along_axis(faces, turns, axis=1).astype(np.int32),
+        file_index=new_file_index[order],
+    )
+    return Perturbed(changed, Truth(np.arange(mesh.file_count), new_of_old))
+
+
+def noise(mesh: Mesh, amount: float = 0.2, seed: int = 0, direction: Literal["normal", "any"] = "normal") -> Perturbed:
+    """Move every vertex by a Gaussian of standard deviation `amount` times the mean edge length.
+
+    direction : along the vertex normal, or the same amount in a random direction.
+    """
+    rng = np.random.default_rng(seed)
+    vertices = mesh.file_vertices()
+    lengths = amount * mean_edge_length(vertices, mesh.faces) * rng.standard_normal(mesh.n_vertices)
+    if direction == "normal":
+        directions = vertex_normals(vertices, mesh.faces)
+    else:
+        directions = rng.standard_normal((mesh.n_vertices, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return _same_vertices(mesh, vertices + lengths[:, None] * directions, "noise")
+
+
+def rotate(mesh: Mesh, seed: int = 0) -> Perturbed:
+    """Turn the mesh by a random rotation about the origin of its file."""
+    turn = Rotation.from_rotvec(np.random.default_rng(seed).uniform(-2, 2, 3)).as_matrix()
+    return _same_vertices(mesh, mesh.file_vertices() @ turn.T, "rotated")
+
+
+def scale(mesh: Mesh, factor: float) -> Perturbed:
+    """Multiply all coordinates, as when millimetres are read for metres."""
+    return _same_vertices(mesh, mesh.file_vertices() * factor, f"times {factor:g}")
+
+
+def subdivide(mesh: Mesh) -> Perturbed:
+    """Split every face into four at the middles of its edges; the old vertices come first, in their old order."""
+    corners = mesh.faces.astype(np.int64)
+    sides = np.sort(np.stack([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]], axis=1), axis=2)
+    edges, edge_of_side = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
+    ab, bc, ca = (mesh.n_vertices + edge_of_side.reshape(-1, 3)).T
+    a, b, c = corners.T
+    faces = np.concatenate([np.stack(face, axis=1) for face in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    vertices = mesh.file_vertices()
+    vertices = np.concatenate([vertices, vertices[edges].mean(axis=1)])
+    changed = mesh_from_arrays(vertices, faces, f"{mesh.name} (subdivided)")
+    return Perturbed(changed, Truth(mesh.file_index, np.arange(mesh.n_vertices)))
+
+
+def decimate(mesh: Mesh, share: float = 0.5) -> Perturbed:
+    """Collapse edges by the quadric error until `share` of the faces is left.
+
+    The truth of each remaining vertex is the nearest original vertex whose normal points to the same side.
+
+    Raises
+    ------
+    InputError
+        `share` is outside (0, 1), or the package fast-simplification is not installed.
+    """
+    if not 0 < share < 1:
+        raise InputError(f"the share of faces to keep must lie in (0, 1), got {share!r}")
+    try:
+        import fast_simplification
+    except ImportError as error:
+        raise InputError("decimation needs the package fast-simplification: pip install fast-simplification") from error
+    vertices, faces = fast_simplification.simplify(
+        mesh.vertices.astype(np.float32), mesh.faces, target_reduction=1.0 - share
+    )
+    changed = mesh_from_arrays(
+        vertices.astype(np.float64) * mesh.scale + mesh.offset, faces, f"{mesh.name} (decimated)"
+    )
+    nearest = _nearest_on_the_same_side(mesh.file_vertices(), mesh.faces, changed.file_vertices(), changed.faces)
+    return Perturbed(changed, Truth(mesh.file_index[nearest], changed.file_index))
+
+
+def _nearest_on_the_same_side(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    queries: NDArray[np.float64],
+    query_faces: NDArray[np.int32],
+) -> NDArray[np.int64]:
+    """Return the (q,) nearest vertices, so that two sheets that almost touch are not confused."""
+    gaps, candidates = cKDTree(vertices).query(queries, k=min(NEIGHBOURS, len(vertices)))
+    agreement = np.einsum(
+        "qkx,qx->qk", vertex_normals(vertices, faces)[candidates], vertex_normals(queries, query_faces)
+    )
+    gaps = np.where((agreement > 0) | ~(agreement > 0).any(axis=1, keepdims=True), gaps, np.inf)
+    return candidates[np.arange(len(queries)), gaps.argmin(axis=1)]
+
+
+def mean_edge_length(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> float:
+    """Mean length of the edges, each counted once a face."""
+    return float(np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2).mean())
+
+
+def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Return (n, 3) unit normals, the mean of the faces' normals weighted by area."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    face_normals = np.cross(b - a, c - a)
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], face_normals)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+
+
+def _same_vertices(mesh: Mesh, vertices: NDArray[np.float64], change: str) -> Perturbed:
+    changed = mesh_from_arrays(vertices, mesh.faces, f"{mesh.name} ({change})")
+    truth = Truth(mesh.file_index, changed.file_index)
+    return Perturbed(changed, truth)
