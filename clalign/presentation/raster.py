@@ -1,0 +1,206 @@
+"""A small software renderer: triangle meshes to images with numpy alone, so that pictures need no display or driver."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+_BLOCK = 1 << 18
+_DEPTH_LEVELS = 1 << 30
+_KEY_LIGHT = np.array([-0.38, 0.52, 0.76])
+_FILL_LIGHT = np.array([0.78, 0.10, 0.42])
+
+
+def rasterise(
+    vertices: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    colours: NDArray[np.floating],
+    size: tuple[int, int],
+    *,
+    supersample: int = 2,
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+) -> NDArray[np.uint8]:
+    """Draw one mesh, seen along the negative third axis, with smooth shading and hidden surfaces removed.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float, in pixels: x to the right, y upwards from the lower edge, z towards the viewer.
+    faces : (m, 3) int.
+    colours : (n, 3) float in [0, 1], sRGB.
+    size : (width, height) of the image in pixels.
+    supersample : rays per pixel and axis, averaged in linear light.
+    background : sRGB colour where nothing is hit.
+
+    Returns
+    -------
+    (height, width, 3) uint8.
+    """
+    width, height = size[0] * supersample, size[1] * supersample
+    points = np.asarray(vertices, dtype=np.float64) * supersample
+    corners = np.asarray(faces, dtype=np.int64)
+    planes = _weight_planes(points, corners)
+    face_of_pixel = _visible_faces(points, corners, planes, width, height)
+    image = np.empty((width * height, 3), dtype=np.float32)
+    image[:] = _linear(np.asarray(background, dtype=np.float32))
+    hit = np.flatnonzero(face_of_pixel >= 0)
+    if hit.size:
+        owner = face_of_pixel[hit]
+        triangles = corners[owner]
+        place = np.stack([hit % width + 0.5, hit // width + 0.5, np.ones(hit.size)], axis=1)
+        upper = np.einsum("pwc,pc->pw", planes[owner], place)
+        weights = np.concatenate([1.0 - upper.sum(axis=1, keepdims=True), upper], axis=1).astype(np.float32)
+        albedo = _linear(np.asarray(colours, dtype=np.float32))
+        normals = vertex_normals(points, corners).astype(np.float32)
+        image[hit] = _shade(_blend(weights, albedo, triangles), _blend(weights, normals, triangles))
+    blocks = image.reshape(size[1], supersample, size[0], supersample, 3).mean(axis=(1, 3))
+    return np.asarray(np.rint(_encoded(blocks) * 255.0)[::-1], dtype=np.uint8)
+
+
+def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Return (n, 3) unit normals: the area-weighted mean of the faces around each vertex (zero where there is none)."""
+    edge_a = vertices[faces[:, 1]] - vertices[faces[:, 0]]
+    edge_b = vertices[faces[:, 2]] - vertices[faces[:, 0]]
+    face_normals = np.cross(edge_a, edge_b)
+    normals = np.stack(
+        [
+            np.bincount(faces.ravel(), weights=np.repeat(face_normals[:, axis], 3), minlength=len(vertices))
+            for axis in range(3)
+        ],
+        axis=1,
+    )
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.where(lengths > 0, lengths, 1.0))
+
+
+def write_png(path: str | Path, image: NDArray[np.uint8]) -> None:
+    """Write an (height, width, 3) uint8 image as a PNG file."""
+    Path(path).write_bytes(png_bytes(image))
+
+
+def png_bytes(image: NDArray[np.uint8]) -> bytes:
+    """Return an (height, width, 3) uint8 image in PNG format.
+
+    Raises
+    ------
+    ValueError
+        The array has another shape or type.
+    """
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        raise ValueError(f"a picture must be (height, width, 3) uint8, got {image.shape} {image.dtype}")
+    height, width, _ = image.shape
+    # Every row is stored as its difference to the row above (filter 2), which deflate packs far better.
+    rows = np.empty((height, 1 + 3 * width), dtype=np.uint8)
+    rows[:, 0] = 2
+    flat = image.reshape(height, 3 * width)
+    rows[:, 1:] = flat
+    rows[1:, 1:] -= flat[:-1]
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return b"".join(
+        [
+            b"\x89PNG\r\n\x1a\n",
+            _chunk(b"IHDR", header),
+            _chunk(b"IDAT", zlib.compress(rows.tobytes(), 7)),
+            _chunk(b"IEND", b""),
+        ]
+    )
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+
+def _weight_planes(points: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return (m, 2, 3): the second and third barycentric coordinate of each face as a plane over (x, y, 1).
+
+    A face seen edge-on gets planes that are -1 everywhere.
+    """
+    a, b, c = (points[faces[:, corner], :2] for corner in range(3))
+    (bx, by), (cx, cy) = (b - a).T, (c - a).T
+    area = bx * cy - by * cx
+    flat = np.abs(area) < 1e-12
+    planes = np.stack([np.stack([cy, -cx], axis=1), np.stack([-by, bx], axis=1)], axis=1)
+    planes /= np.where(flat, 1.0, area)[:, None, None]
+    offsets = -np.einsum("fwc,fc->fw", planes, a)
+    planes = np.concatenate([planes, offsets[:, :, None]], axis=2)
+    planes[flat] = (0.0, 0.0, -1.0)
+    return np.asarray(planes)
+
+
+def _visible_faces(
+    points: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    planes: NDArray[np.float64],
+    width: int,
+    height: int,
+) -> NDArray[np.int64]:
+    """Return for every pixel (row-major from the lower edge) the frontmost face at its centre, or -1."""
+    buffer = np.full(width * height, -1, dtype=np.int64)
+    corners = points[faces]
+    low = np.clip(np.ceil(corners[:, :, :2].min(axis=1) - 0.5), 0, (width, height)).astype(np.int64)
+    high = np.clip(np.floor(corners[:, :, :2].max(axis=1) + 0.5), 0, (width, height)).astype(np.int64)
+    spans = np.maximum(high - low, 0)
+    counts = spans.prod(axis=1)
+    depths = points[:, 2] - points[:, 2].min(initial=0.0)
+    depths *= (_DEPTH_LEVELS - 1) / max(depths.max(initial=0.0), 1e-300)
+    corner_depths = depths[faces]
+    order = np.flatnonzero(counts)
+    block_of = np.cumsum(counts[order]) // _BLOCK
+    for block in np.split(order, np.flatnonzero(np.diff(block_of)) + 1):
+        repeats = counts[block]
+        place = np.arange(repeats.sum()) - np.repeat(np.cumsum(repeats) - repeats, repeats)
+        row, column = np.divmod(place, np.repeat(spans[block, 0], repeats))
+        x = column + np.repeat(low[block, 0], repeats)
+        y = row + np.repeat(low[block, 1], repeats)
+        second, third = (
+            np.repeat(planes[block, weight, 0], repeats) * (x + 0.5)
+            + np.repeat(planes[block, weight, 1], repeats) * (y + 0.5)
+            + np.repeat(planes[block, weight, 2], repeats)
+            for weight in range(2)
+        )
+        kept = np.flatnonzero((second >= 0) & (third >= 0) & (second + third <= 1))
+        owner = np.repeat(block, repeats)[kept]
+        front = corner_depths[owner]
+        level = front[:, 0] + second[kept] * (front[:, 1] - front[:, 0]) + third[kept] * (front[:, 2] - front[:, 0])
+        # Depth above, face below: one integer maximum finds the frontmost face, whatever the order of drawing.
+        key = (np.clip(level, 0, _DEPTH_LEVELS - 1).astype(np.int64) << 32) | owner
+        np.maximum.at(buffer, y[kept] * width + x[kept], key)
+    return np.where(buffer >= 0, buffer & 0xFFFFFFFF, -1)
+
+
+def _blend(
+    weights: NDArray[np.float32], values: NDArray[np.float32], triangles: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    blended = np.zeros((len(weights), values.shape[1]), dtype=np.float32)
+    for corner in range(3):
+        blended += weights[:, corner, None] * values[triangles[:, corner]]
+    return blended
+
+
+def _shade(albedo: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Light a surface: ambient from above, a key and a fill light (Lambert), a faint highlight; both sides alike."""
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
+    normals = np.where(normals[:, 2:] < 0, -normals, normals)
+    key = _KEY_LIGHT / np.linalg.norm(_KEY_LIGHT)
+    fill = _FILL_LIGHT / np.linalg.norm(_FILL_LIGHT)
+    halfway = key + np.array([0.0, 0.0, 1.0])
+    halfway /= np.linalg.norm(halfway)
+    diffuse = np.maximum(normals @ key, 0.0) * 0.72 + np.maximum(normals @ fill, 0.0) * 0.16
+    ambient = 0.25 + 0.09 * normals[:, 1]
+    highlight = 0.06 * np.maximum(normals @ halfway, 0.0) ** 24
+    lit = albedo * (diffuse + ambient)[:, None] + highlight[:, None]
+    return np.asarray(np.clip(lit, 0.0, 1.0), dtype=np.float32)
+
+
+def _linear(encoded: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(
+        np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4), dtype=np.float32
+    )
+
+
+def _encoded(linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    clipped = np.clip(linear, 0.0, 1.0)
+    return np.where(clipped <= 0.0031308, clipped * 12.92, 1.055 * clipped ** (1 / 2.4) - 0.055)
