@@ -103,7 +103,6 @@ def _refuses(defects: list[Defect]) -> bool:
 def _defect(
     surface: Surface,
     kind: str,
-    severity: Severity,
     count: int,
     problem: str,
     *,
@@ -112,7 +111,11 @@ def _defect(
     action: str = "",
     advice: str = "",
 ) -> Defect:
-    """Record a finding about numbers of `surface` under the numbers of the file."""
+    """Record a finding about numbers of `surface` under the numbers of the file.
+
+    What the program acts on is handled, what it can only advise on is refused, and the rest is fine.
+    """
+    severity = Severity.HANDLED if action else Severity.REFUSED if advice else Severity.FINE
     vertex_numbers = () if vertices is None else tuple(surface.file_index[vertices[:SHOWN]].tolist())
     face_numbers = () if faces is None else tuple(surface.face_index[faces[:SHOWN]].tolist())
     return Defect(kind, severity, count, problem, vertex_numbers, face_numbers, action, advice)
@@ -122,11 +125,11 @@ def _check_empty(surface: Surface) -> Checked:
     """Refuse point clouds and nothing at all."""
     if not len(surface.vertices):
         problem, advice = "the mesh has no vertices", "export it again with its surface"
-        return surface, [_defect(surface, "no-vertices", Severity.REFUSED, 1, problem, advice=advice)]
+        return surface, [_defect(surface, "no-vertices", 1, problem, advice=advice)]
     if not len(surface.faces):
         problem = f"the mesh has {len(surface.vertices)} vertices but no faces"
         advice = "a point cloud must be triangulated first"
-        return surface, [_defect(surface, "no-faces", Severity.REFUSED, 1, problem, advice=advice)]
+        return surface, [_defect(surface, "no-faces", 1, problem, advice=advice)]
     return surface, []
 
 
@@ -140,9 +143,7 @@ def _check_range(surface: Surface) -> Checked:
     verb = _plural(len(bad), "face names", "faces name")
     problem = f"{len(bad)} {verb} vertices outside 0 to {n - 1}, such as {surface.faces[outside][0]}"
     advice = "check whether numbering is one-based or the vertex list cut short; without these faces, {repair}"
-    return surface, [
-        _defect(surface, "index-out-of-range", Severity.REFUSED, len(bad), problem, faces=bad, advice=advice)
-    ]
+    return surface, [_defect(surface, "index-out-of-range", len(bad), problem, faces=bad, advice=advice)]
 
 
 def _check_unreferenced(surface: Surface) -> Checked:
@@ -154,7 +155,7 @@ def _check_unreferenced(surface: Surface) -> Checked:
     bad = np.flatnonzero(~used)
     problem = f"{len(bad)} {_plural(len(bad), 'vertex is', 'vertices are')} in no face"
     action = "left out, without a match (-1 in the maps)"
-    found = _defect(surface, "unreferenced-vertex", Severity.HANDLED, len(bad), problem, vertices=bad, action=action)
+    found = _defect(surface, "unreferenced-vertex", len(bad), problem, vertices=bad, action=action)
     return surface.keep(np.ones(len(surface.faces), dtype=bool)), [found]
 
 
@@ -165,7 +166,7 @@ def _check_finite(surface: Surface) -> Checked:
         return surface, []
     problem = f"{len(bad)} {_plural(len(bad), 'vertex has', 'vertices have')} NaN or infinite coordinates"
     advice = "export the mesh again; without the faces there, {repair}"
-    return surface, [_defect(surface, "non-finite", Severity.REFUSED, len(bad), problem, vertices=bad, advice=advice)]
+    return surface, [_defect(surface, "non-finite", len(bad), problem, vertices=bad, advice=advice)]
 
 
 def _check_magnitude(surface: Surface) -> Checked:
@@ -181,9 +182,7 @@ def _check_magnitude(surface: Surface) -> Checked:
     else:
         return surface, []
     advice = "scale the coordinates, for example to a box of size 1, and export the mesh again"
-    return surface, [
-        _defect(surface, "coordinate-range", Severity.REFUSED, len(bad), problem, vertices=bad, advice=advice)
-    ]
+    return surface, [_defect(surface, "coordinate-range", len(bad), problem, vertices=bad, advice=advice)]
 
 
 def _check_repeated_corners(surface: Surface) -> Checked:
@@ -208,7 +207,7 @@ def _without_faces(surface: Surface, bad: NDArray[np.bool_], kind: str, one: str
     lost = len(surface.vertices) - len(kept.vertices)
     problem = f"{count} {_plural(count, 'face ' + one, 'faces ' + many)}"
     action = "left out" + (f", and {lost} vertices that no other face has get no match (-1)" if lost else "")
-    return kept, [_defect(surface, kind, Severity.HANDLED, count, problem, faces=np.flatnonzero(bad), action=action)]
+    return kept, [_defect(surface, kind, count, problem, faces=np.flatnonzero(bad), action=action)]
 
 
 def _check_area(surface: Surface) -> Checked:
@@ -220,30 +219,21 @@ def _check_area(surface: Surface) -> Checked:
     if flat.all():
         problem = "all faces have zero area: the vertices lie on a line or at a point"
         advice = "export the mesh again with more digits"
-        return surface, [_defect(surface, "no-area", Severity.REFUSED, len(bad), problem, faces=bad, advice=advice)]
+        return surface, [_defect(surface, "no-area", len(bad), problem, faces=bad, advice=advice)]
     if bare.any():
         alone = np.flatnonzero(bare)
         verb = _plural(len(alone), "vertex has", "vertices have")
         problem = f"{len(alone)} {verb} only zero-area faces around"
         return surface, [
-            _defect(
-                surface,
-                "no-area-vertex",
-                Severity.REFUSED,
-                len(alone),
-                problem,
-                vertices=alone,
-                faces=bad,
-                advice="{repair}",
-            )
+            _defect(surface, "no-area-vertex", len(alone), problem, vertices=alone, faces=bad, advice="{repair}")
         ]
     problem = f"{len(bad)} {_plural(len(bad), 'face has', 'faces have')} zero area"
     action = "kept, since the surface would have holes without them; cotangents are bounded there"
-    return surface, [_defect(surface, "zero-area-face", Severity.HANDLED, len(bad), problem, faces=bad, action=action)]
+    return surface, [_defect(surface, "zero-area-face", len(bad), problem, faces=bad, action=action)]
 
 
 def bare_vertices(surface: Surface) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Vertices (n,) without area around them, and faces (m,) without area."""
+    """Vertices (n) without area around them, and faces (m) without area."""
     inside, _, _ = topology.boxed(surface.vertices)
     corners = inside[surface.faces]
     longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
@@ -267,16 +257,16 @@ def _check_components(surface: Surface) -> Checked:
     if 1 - share < SMALL_PIECES:
         action = f"the largest is kept; {len(others)} vertices are left out, without a match (-1 in the maps)"
         return surface.keep(piece == largest), [
-            _defect(surface, "small-components", Severity.HANDLED, count, problem, vertices=samples, action=action)
+            _defect(surface, "small-components", count, problem, vertices=samples, action=action)
         ]
     advice = "with the largest piece alone, {repair}"
     if len(topology.merge_positions(surface.vertices)[0]) < len(surface.vertices):
         advice += "; add `--merge` to join vertices at equal positions first"
-    return surface, [_defect(surface, "components", Severity.REFUSED, count, problem, vertices=samples, advice=advice)]
+    return surface, [_defect(surface, "components", count, problem, vertices=samples, advice=advice)]
 
 
 def pieces_by_area(surface: Surface) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
-    """Count the pieces; the piece of every face (m,), and the area of every piece in units of the bounding box."""
+    """Count the pieces; the piece of every face (m), and the area of every piece in units of the bounding box."""
     count, label = topology.connected_components(surface.faces, len(surface.vertices))
     piece = label[surface.faces[:, 0]]
     areas = topology.face_areas(topology.boxed(surface.vertices)[0], surface.faces)
@@ -289,7 +279,7 @@ def _check_size(surface: Surface) -> Checked:
     if n >= MIN_VERTICES:
         return surface, []
     problem = f"the surface has only {n} vertices; at least {MIN_VERTICES} are needed"
-    return surface, [_defect(surface, "too-few-vertices", Severity.REFUSED, n, problem, advice="subdivide the mesh")]
+    return surface, [_defect(surface, "too-few-vertices", n, problem, advice="subdivide the mesh")]
 
 
 def _check_manifold(surface: Surface) -> Checked:
@@ -303,14 +293,7 @@ def _check_manifold(surface: Surface) -> Checked:
         faces = np.unique(np.flatnonzero(crowded[table.edge_of_half_edge]) % len(surface.faces))
         found.append(
             _defect(
-                surface,
-                "non-manifold-edge",
-                Severity.REFUSED,
-                len(ends),
-                problem,
-                vertices=ends.ravel(),
-                faces=faces,
-                advice="{repair}",
+                surface, "non-manifold-edge", len(ends), problem, vertices=ends.ravel(), faces=faces, advice="{repair}"
             )
         )
     fans = topology.fan_counts(surface.faces, table, len(surface.vertices))
@@ -319,11 +302,7 @@ def _check_manifold(surface: Surface) -> Checked:
     bad = np.flatnonzero(fans > 1)
     if len(bad):
         problem = f"at {len(bad)} {_plural(len(bad), 'vertex', 'vertices')} several sheets touch in a point only"
-        found.append(
-            _defect(
-                surface, "non-manifold-vertex", Severity.REFUSED, len(bad), problem, vertices=bad, advice="{repair}"
-            )
-        )
+        found.append(_defect(surface, "non-manifold-vertex", len(bad), problem, vertices=bad, advice="{repair}"))
     return surface, found
 
 
@@ -336,13 +315,11 @@ def _check_orientation(surface: Surface) -> Checked:
         bad = np.flatnonzero(twisted)
         problem = f"the surface has only one side, like a Möbius strip or a Klein bottle ({len(bad)} faces)"
         advice = "cut open along a seam, {repair}"
-        found.append(_defect(surface, "non-orientable", Severity.REFUSED, len(bad), problem, faces=bad, advice=advice))
+        found.append(_defect(surface, "non-orientable", len(bad), problem, faces=bad, advice=advice))
     if turn.any():
         bad = np.flatnonzero(turn)
         problem = f"{len(bad)} {_plural(len(bad), 'face is', 'faces are')} turned against the others"
-        found.append(
-            _defect(surface, "orientation", Severity.HANDLED, len(bad), problem, faces=bad, action="turned round")
-        )
+        found.append(_defect(surface, "orientation", len(bad), problem, faces=bad, action="turned round"))
         surface = replace(surface, faces=topology.turned(surface.faces, turn))
     return surface, found
 
@@ -355,23 +332,14 @@ def _check_boundary(surface: Surface) -> Checked:
     rim = np.unique(edges)
     loops, _ = topology.edge_loops(edges)
     problem = f"the surface has {loops} {_plural(loops, 'boundary', 'boundaries')} with {len(edges)} edges"
-    found = [_defect(surface, "boundary", Severity.FINE, loops, problem, vertices=rim)]
+    found = [_defect(surface, "boundary", loops, problem, vertices=rim)]
     first, merged = topology.merge_positions(surface.vertices[rim])
     shared = rim[np.bincount(merged, minlength=len(first))[merged] > 1]
     if len(shared):
         problem = f"{len(shared)} boundary vertices lie exactly on another one, as if the surface was cut along a seam"
         advice = "if the surface should be closed there, {repair} (add `--merge`)"
         found.append(
-            _defect(
-                surface,
-                "open-seam",
-                Severity.HANDLED,
-                len(shared),
-                problem,
-                vertices=shared,
-                action="kept apart",
-                advice=advice,
-            )
+            _defect(surface, "open-seam", len(shared), problem, vertices=shared, action="kept apart", advice=advice)
         )
     return surface, found
 
@@ -380,7 +348,7 @@ def _check_outward(surface: Surface) -> Checked:
     """Turn a body that is inside out: the orientation is what tells a shape from its mirror image."""
     if topology.outward_sign(surface.vertices, surface.faces) >= 0:
         return surface, []
-    found = _defect(surface, "inside-out", Severity.HANDLED, 1, "all faces point inward", action="turned outward")
+    found = _defect(surface, "inside-out", 1, "all faces point inward", action="turned outward")
     everything = np.ones(len(surface.faces), dtype=bool)
     return replace(surface, faces=topology.turned(surface.faces, everything)), [found]
 
