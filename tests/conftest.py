@@ -1,0 +1,89 @@
+"""Caches of their own for every test session, and meshes that several rooms use."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import shapes
+from numpy.typing import NDArray
+
+# Set before any driver or library reads them: a test must neither profit from nor harm what is cached on the machine.
+_SCRATCH = Path(tempfile.mkdtemp(prefix="clalign-tests-"))
+os.environ["POCL_CACHE_DIR"] = str(_SCRATCH / "pocl")
+os.environ["CLALIGN_CACHE"] = str(_SCRATCH / "cache")
+os.environ["XDG_CACHE_HOME"] = str(_SCRATCH / "xdg")
+os.environ.pop("CLALIGN_DEVICE", None)
+os.environ.pop("CLALIGN_DEBUG", None)
+(_SCRATCH / "pocl").mkdir()
+
+
+def pytest_unconfigure() -> None:
+    shutil.rmtree(_SCRATCH, ignore_errors=True)
+
+
+class Pair(NamedTuple):
+    """Two meshes of one shape, numbered independently, and the target vertex of every source vertex."""
+
+    source: tuple[NDArray[np.float64], NDArray[np.int64]]
+    target: tuple[NDArray[np.float64], NDArray[np.int64]]
+    truth: NDArray[np.int64]
+    mirrored: NDArray[np.int64] | None = None
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20261122)
+
+
+@pytest.fixture(scope="session")
+def bumpy() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Sphere with bumps, 642 vertices, no symmetry."""
+    return shapes.bumpy_sphere(3)
+
+
+@pytest.fixture(scope="session")
+def bumpy_pair() -> Pair:
+    """The bumpy sphere and a slightly bent copy of it, each numbered in its own order."""
+    vertices, faces = shapes.bumpy_sphere(3)
+    source_vertices, source_faces, source_of_old = shapes.renumbered(vertices, faces, 1)
+    target_vertices, target_faces, target_of_old = shapes.renumbered(shapes.bent(vertices, 0.4), faces, 2)
+    truth = target_of_old[np.argsort(source_of_old)]
+    return Pair((source_vertices, source_faces), (target_vertices, target_faces), truth)
+
+
+@pytest.fixture(scope="session")
+def human_pair() -> Pair:
+    """The bundled pair at 1,500 vertices, each mesh numbered in its own order."""
+    from clalign.data import bundled_pair
+    from clalign.geometry.mesh import load_mesh
+
+    paths = bundled_pair()
+    source, target = load_mesh(paths.source), load_mesh(paths.target)
+    truth, mirrored = (np.loadtxt(path, dtype=np.int64) for path in (paths.truth, paths.mirrored))
+    kept, faces = shapes.decimated(source.vertices, source.faces.astype(np.int64), 1500)
+    source_vertices, source_faces, source_of_kept = shapes.renumbered(source.vertices[kept], faces, 3)
+    target_vertices, target_faces, target_of_kept = shapes.renumbered(target.vertices[truth[kept]], faces, 4)
+    nearest = ((target.vertices[mirrored[kept]][:, None] - target.vertices[truth[kept]][None]) ** 2).sum(-1).argmin(1)
+    kept_of_source = np.argsort(source_of_kept)
+    return Pair(
+        (source_vertices, source_faces),
+        (target_vertices, target_faces),
+        target_of_kept[kept_of_source],
+        target_of_kept[nearest[kept_of_source]],
+    )
+
+
+@pytest.fixture
+def bumpy_files(tmp_path: Path, bumpy_pair: Pair) -> tuple[Path, Path, Path]:
+    """OFF files of `bumpy_pair` and the text file of its truth."""
+    source = shapes.write_off(tmp_path / "bumpy-source.off", *bumpy_pair.source)
+    target = shapes.write_off(tmp_path / "bumpy-target.off", *bumpy_pair.target)
+    truth = tmp_path / "truth.txt"
+    np.savetxt(truth, bumpy_pair.truth, fmt="%d")
+    return source, target, truth
