@@ -309,7 +309,7 @@ def _read_facts(folder: Path) -> dict[str, Any]:
 def _read_arrays(folder: Path) -> dict[str, NDArray[Any]]:
     path = folder / ARRAYS_FILE
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
     except FileNotFoundError as error:
         raise ResultError(f"{folder}: {ARRAYS_FILE} is missing; match the meshes again") from error

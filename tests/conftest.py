@@ -6,12 +6,16 @@ import os
 import shutil
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+import fabricated
 import numpy as np
 import pytest
 import shapes
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from clalign.correspondence import Correspondence
 
 # Set before any driver or library reads them: a test must neither profit from nor harm what is cached on the machine.
 _SCRATCH = Path(tempfile.mkdtemp(prefix="clalign-tests-"))
@@ -87,3 +91,9 @@ def bumpy_files(tmp_path: Path, bumpy_pair: Pair) -> tuple[Path, Path, Path]:
     truth = tmp_path / "truth.txt"
     np.savetxt(truth, bumpy_pair.truth, fmt="%d")
     return source, target, truth
+
+
+@pytest.fixture(scope="session")
+def true_correspondence(bumpy_pair: Pair) -> Correspondence:
+    """The result that a perfect matcher would return for `bumpy_pair`, built from its truth."""
+    return fabricated.correspondence(bumpy_pair.source, bumpy_pair.target, bumpy_pair.truth)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -16,16 +17,11 @@ Faces = NDArray[np.int64]
 def icosphere(subdivisions: int) -> tuple[Vertices, Faces]:
     """Unit sphere of 10 * 4**subdivisions + 2 vertices, faces outward."""
     golden = (1 + 5**0.5) / 2
-    vertices = np.array(
-        [[-1, golden, 0], [1, golden, 0], [-1, -golden, 0], [1, -golden, 0]]
-        + [[0, -1, golden], [0, 1, golden], [0, -1, -golden], [0, 1, -golden]]
-        + [[golden, 0, -1], [golden, 0, 1], [-golden, 0, -1], [-golden, 0, 1]]
-    )
-    faces = np.array(
-        [[0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6]]
-        + [[7, 1, 8], [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11], [6, 2, 10]]
-        + [[8, 6, 7], [9, 8, 1]]
-    )
+    corners = np.array([[a, b * golden, 0.0] for b in (1, -1) for a in (-1, 1)])
+    vertices = np.concatenate([np.roll(corners, turn, axis=1) for turn in range(3)])
+    faces = ConvexHull(vertices).simplices.astype(np.int64)
+    inward = np.linalg.det(vertices[faces]) < 0
+    faces[inward] = faces[inward, ::-1]
     for _ in range(subdivisions):
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         unique, inverse = np.unique(edges, axis=0, return_inverse=True)
