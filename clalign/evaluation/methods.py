@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.errors import OptionError
 from clalign.geometry.mesh import Mesh
 from clalign.options import Options
 
@@ -82,6 +83,43 @@ class AlignMethod:
             orientation=result.orientation,
             barycentric=barycentric,
         )
+
+
+#: Name, preset and changes of the methods that a benchmark can be asked for by name.
+NAMED_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "default": ("default", {}),
+    "fast": ("fast", {}),
+    "cycle": ("default", {"alignment.cycle": True}),
+    "heat-kernel": ("default", {"spectrum.metric": "heat-kernel"}),
+    "one-sided": ("default", {"alignment.sides": "one"}),
+    "search-only": ("default", {"alignment.rounds": 0, "readout.refine": "none", "readout.steps": 0}),
+    "paper": ("paper", {}),
+    "paper-cycle": ("paper", {"alignment.cycle": True}),
+    "paper-heat-kernel": ("paper", {"spectrum.metric": "heat-kernel"}),
+    "paper-one-sided": ("paper", {"alignment.sides": "one"}),
+}
+
+
+def named_methods(names: Sequence[str], changes: Mapping[str, Any]) -> list[Method]:
+    """Return the methods of some names of `NAMED_OPTIONS`, or "pyfm"; `changes` to options apply to all of ours.
+
+    Raises
+    ------
+    OptionError
+        No such method or option.
+    """
+    from .peers import PyfmMethod
+
+    methods: list[Method] = []
+    for name in names:
+        if name == "pyfm":
+            methods.append(PyfmMethod())
+        elif name in NAMED_OPTIONS:
+            preset, own = NAMED_OPTIONS[name]
+            methods.append(AlignMethod(name, Options.preset(preset).replace({**own, **changes})))
+        else:
+            raise OptionError(f"unknown method {name!r}; there are {', '.join(NAMED_OPTIONS)}, pyfm")
+    return methods
 
 
 def digest(values: Mapping[str, Any]) -> str:

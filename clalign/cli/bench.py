@@ -1,0 +1,22 @@
+"""``clalign bench``: benchmarks, each a module with ``add_parser(subparsers)`` and ``run(args) -> int``."""
+
+from __future__ import annotations
+
+import argparse
+
+from clalign.cli import bench_accuracy
+
+SUBCOMMANDS = (bench_accuracy,)
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``bench`` with all its subcommands to the program."""
+    parser = subparsers.add_parser(
+        "bench",
+        help="run a benchmark",
+        description="Run a benchmark: accuracy on a data set, or speed.",
+        allow_abbrev=False,
+    )
+    inner = parser.add_subparsers(title="benchmarks", metavar="BENCHMARK", required=True)
+    for subcommand in SUBCOMMANDS:
+        subcommand.add_parser(inner)

@@ -1,0 +1,63 @@
+"""Pictures of error curves: the share of points whose error is at most r."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.errors import InputError
+from clalign.evaluation.errors import THRESHOLDS, area_under_curve
+
+Unit = Literal["sqrt_area", "diameter"]
+AXIS_LABELS: dict[Unit, str] = {
+    "sqrt_area": "geodesic error / √area",
+    "diameter": "geodesic error / diameter",
+}
+
+
+def save_error_curves(
+    curves: Mapping[str, NDArray[np.float64]],
+    path: str | Path,
+    *,
+    unit: Unit = "sqrt_area",
+    title: str = "",
+    largest: float = float(THRESHOLDS[-1]),
+) -> None:
+    """Draw curves over the thresholds of `clalign.evaluation.errors` into a PNG, SVG or PDF file.
+
+    Parameters
+    ----------
+    curves : label to (251,) shares, drawn in this order; the legend adds the area under each curve.
+    path : the ending chooses the format.
+    unit : what errors are divided by, for the axis.
+    largest : right end of the axis.
+
+    Raises
+    ------
+    InputError
+        There is no curve, or one of another length; or matplotlib is not installed or cannot write that format.
+    """
+    for label, curve in curves.items():
+        if curve.shape != THRESHOLDS.shape:
+            raise InputError(f"curve {label!r} has shape {curve.shape}, expected {THRESHOLDS.shape}")
+    if not curves:
+        raise InputError("no curve to draw")
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise InputError("pictures of curves need matplotlib: pip install 'clalign[plots]'") from error
+    figure = Figure(figsize=(5.6, 3.8), layout="constrained")
+    axes = figure.add_subplot()
+    for label, curve in curves.items():
+        axes.plot(THRESHOLDS, 100 * curve, label=f"{label} ({area_under_curve(curve):.3f})", linewidth=1.6)
+    axes.set(xlim=(0, largest), ylim=(0, 101), xlabel=AXIS_LABELS[unit], ylabel="% of points", title=title)
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", fontsize="small", title="area under the curve in brackets", title_fontsize="small")
+    try:
+        figure.savefig(path, dpi=160)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
