@@ -1,0 +1,156 @@
+"""Functional maps from point maps and back, in any pair of bases.
+
+Directions: `target_of_source` (n_x,) holds for every vertex of X a vertex of Y, `source_of_target` (n_y,) the reverse.
+A functional map (k_y, k_x) takes coefficients of functions on X to coefficients of functions on Y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..engine.backend import Backend
+from ..geometry.spectra import Spectrum
+
+
+@dataclass(frozen=True)
+class PointMaps:
+    """A map and its reverse, each found on its own.
+
+    Attributes
+    ----------
+    target_of_source : (n_x,) int64.
+    source_of_target : (n_y,) int64.
+    """
+
+    target_of_source: NDArray[np.int64]
+    source_of_target: NDArray[np.int64]
+
+
+def nearest_rows(backend: Backend, queries: NDArray[np.floating], points: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Return for each row of `queries` (m, k) the nearest row of `points` (p, k), as (m,) int64."""
+    penalty = 0.5 * np.einsum("pk,pk->p", points, points)
+    index, _ = backend.nearest(
+        backend.array(np.ascontiguousarray(queries)),
+        backend.array(np.ascontiguousarray(points)),
+        backend.array(penalty),
+    )
+    return backend.numpy(index).astype(np.int64)
+
+
+def point_maps(
+    backend: Backend, source_embedding: NDArray[np.floating], target_embedding: NDArray[np.floating]
+) -> PointMaps:
+    """Return nearest neighbours both ways between two aligned embeddings (n_x, d) and (n_y, d)."""
+    return PointMaps(
+        nearest_rows(backend, source_embedding, target_embedding),
+        nearest_rows(backend, target_embedding, source_embedding),
+    )
+
+
+def functional_point_maps(
+    backend: Backend, functional: NDArray[np.floating], source: NDArray[np.floating], target: NDArray[np.floating]
+) -> PointMaps:
+    """Return the point maps of a functional map: nearest neighbours both ways between the rows of Ψ C and of Φ.
+
+    C pulls functions on X back to Y, so row i of Ψ C is close to φ at the vertex of X that i is matched with. Using one
+    embedding for both directions keeps them consistent where C is not orthogonal (C φ_j is shrunk there, and its nearest
+    ψ_i drawn to vertices of small norm).
+
+    Parameters
+    ----------
+    functional : (k_y, k_x).
+    source, target : (n_x, k_x) and (n_y, k_y) basis functions at vertices.
+    """
+    return point_maps(backend, source, target @ functional)
+
+
+def argmax_map(
+    backend: Backend,
+    functional: NDArray[np.floating],
+    source: NDArray[np.floating],
+    target: NDArray[np.floating],
+    weights: NDArray[np.floating],
+) -> NDArray[np.int64]:
+    """Return target_of_source as the arg-max of each column of the soft map (Eq. 16, 28).
+
+    Parameters
+    ----------
+    weights : (n_y,) row weights of P; ones give the paper's form.
+    """
+    index, _ = backend.nearest(
+        backend.array(np.ascontiguousarray(source @ functional.T)),
+        backend.array(np.ascontiguousarray(target)),
+        backend.array(weights),
+        absolute=True,
+    )
+    return backend.numpy(index).astype(np.int64)
+
+
+def functional_map(
+    source: Spectrum, target: Spectrum, source_of_target: NDArray[np.int64], size: int | None = None
+) -> NDArray[np.float64]:
+    """Return ΨᵀA_Y Φ[source_of_target], the functional map of a point map.
+
+    Parameters
+    ----------
+    size : number of functions used on both sides (default all).
+    """
+    pulled = source.functions[source_of_target, :size]
+    return target.functions[:, :size].T @ (target.mass[:, None] * pulled)
+
+
+def two_way_functional_map(
+    backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps, size: int | None = None
+) -> NDArray[np.float64]:
+    """Return the functional map that explains the maps of both directions best.
+
+    Minimises ‖Ψ C − Φ[source_of_target]‖²_{A_Y} + ‖Ψ[target_of_source] C − Φ‖²_{A_X}:
+    (I + PᵀA_X P) C = ΨᵀA_Y Φ[source_of_target] + PᵀA_X Φ with P = Ψ[target_of_source].
+    """
+    source_functions = np.ascontiguousarray(source.functions[:, :size])
+    target_functions = np.ascontiguousarray(target.functions[:, :size])
+    pulled = backend.array(source_functions[maps.source_of_target])
+    carried = backend.array(target_functions[maps.target_of_source])
+    mass_x, mass_y = backend.array(source.mass), backend.array(target.mass)
+    forward = backend.numpy(backend.weighted_gram(backend.array(target_functions), pulled, mass_y))
+    backward = backend.numpy(backend.weighted_gram(carried, backend.array(source_functions), mass_x))
+    gram = backend.numpy(backend.weighted_gram(carried, carried, mass_x)).astype(np.float64)
+    gram[np.diag_indices(len(gram))] += 1.0
+    return np.linalg.solve(gram, forward.astype(np.float64) + backward.astype(np.float64))
+
+
+def wavelet_filtered(
+    functional: NDArray[np.float64], source: NDArray[np.float64], target: NDArray[np.float64], bands: int = 6
+) -> NDArray[np.float64]:
+    """Return Σ_s g_s(Λ_Y) C g_s(Λ_X) with Meyer filters g_s over log₂ λ (Hu et al., multiscale wavelets, 2021).
+
+    Entries that join frequencies of different bands are damped; Σ g_s² = 1.
+
+    Parameters
+    ----------
+    source, target : (k_x,) and (k_y,) eigenvalues.
+    """
+    filters_x, filters_y = (_meyer_filters(values, max(source[-1], target[-1]), bands) for values in (source, target))
+    return np.einsum("si,ij,sj->ij", filters_y, functional, filters_x, optimize=True)
+
+
+def _meyer_filters(eigenvalues: NDArray[np.float64], largest: float, bands: int) -> NDArray[np.float64]:
+    """Return (bands + 1, k): one low-pass and `bands` octave filters whose squares sum to one."""
+    position = np.clip(bands + np.log2(np.maximum(eigenvalues / largest, 1e-12)), 0.0, bands - 1e-9)
+    octave = np.floor(position).astype(int)
+    ramp = position - octave
+    smooth = ramp**4 * (35 - 84 * ramp + 70 * ramp**2 - 20 * ramp**3)
+    filters = np.zeros((bands + 1, eigenvalues.size))
+    columns = np.arange(eigenvalues.size)
+    filters[octave, columns] = np.cos(0.5 * np.pi * smooth)
+    filters[octave + 1, columns] = np.sin(0.5 * np.pi * smooth)
+    return filters
+
+
+def orthogonalised(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the orthogonal matrix nearest to `matrix` (its polar factor)."""
+    left, _, right = np.linalg.svd(matrix, full_matrices=False)
+    return left @ right

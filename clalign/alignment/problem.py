@@ -1,0 +1,273 @@
+"""A pair of shapes bound to a backend: the value and gradient of the objective over the band entries of R.
+
+With α = F R, β = H Rᵀ (Eq. 26), C solving C α = β by least squares, c_j = C φ_j and the soft map P of Eq. 27, the
+objective is Eq. 24, or Eq. 32 with the cycle term:
+
+    l(R) = l_align(R) + λ l_unsup(R)          l(R) = l_align(R) + λ (l_unsup(R) + l_cyc(R)) / 2.
+
+Nothing of size n × n is made: P enters through Z = PᵀU, a quadratic form in c_j, and distances through low-rank factors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..engine.backend import Backend, Band
+from ..options import AlignmentOptions
+from .views import AlignedSide, SampledFactors
+
+RIDGE = 1e-6
+
+
+@dataclass(frozen=True)
+class Round:
+    """What is frozen while L-BFGS runs: the hard map, through its Gram matrices, the denominator and λ.
+
+    Attributes
+    ----------
+    gram_source, gram_target, gram_cross : (d, d) on the backend, Φ̃ᵀAΦ̃, Ψ̃_πᵀAΨ̃_π and Φ̃ᵀAΨ̃_π.
+    denominator : of l_align; 0 differentiates it instead of freezing it.
+    weight : λ.
+    """
+
+    gram_source: Any
+    gram_target: Any
+    gram_cross: Any
+    denominator: float
+    weight: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The objective at one point.
+
+    Attributes
+    ----------
+    total : value of the objective.
+    terms : "align", "unsup", "cycle" (if used) and "unitarity".
+    gradient : (variables,) float64.
+    """
+
+    total: float
+    terms: dict[str, float]
+    gradient: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _SoftMapState:
+    """Intermediate arrays of one soft map that its gradient needs again."""
+
+    functional: Any
+    carried: Any
+    packed: Any
+    normal: Any
+    z: Any
+    s: Any
+
+
+class AlignmentProblem:
+    """The objective of a pair of shapes over the entries of R inside the band.
+
+    Parameters
+    ----------
+    source, target : what the losses need of each shape.
+    factors : distance factors at the vertices of the source where the losses are evaluated.
+    band : the variables.
+    backend : where the arithmetic runs; one thread only.
+    options : variants of the objective.
+    """
+
+    def __init__(
+        self,
+        source: AlignedSide,
+        target: AlignedSide,
+        factors: SampledFactors,
+        band: Band,
+        backend: Backend,
+        options: AlignmentOptions,
+    ) -> None:
+        self.source, self.target, self.factors = source, target, factors
+        self.band, self.backend, self.options = band, backend, options
+        array = backend.array
+        self._projection_x, self._projection_y = array(source.projection), array(target.projection)
+        self._descriptors_x, self._descriptors_y = array(source.descriptors), array(target.descriptors)
+        self._mass_x = array(source.loss_weights)
+        self._sampled_basis = array(np.ascontiguousarray(source.basis[factors.vertices]))
+        self._left, self._core_x = array(factors.left), array(factors.core)
+        self._weights = array(factors.weights)
+        self._core_y = array(target.core)
+        self._basis_y, self._soft_weights_y = array(target.basis), array(target.soft_weights)
+        self._left_y = array(target.left)
+        self._packed_y = backend.packed_moments(self._basis_y, self._soft_weights_y, self._left_y)
+        self._identity = array(np.eye(band.size))
+        self._normal_y = None if target.normal is None else array(target.normal)
+        if options.cycle:
+            self._basis_x = array(source.basis)
+            self._normal_x = None if source.normal is None else array(source.normal)
+            self._packed_x = backend.packed_moments(self._basis_x, array(source.soft_weights), array(source.left))
+            self._core_all_x = array(source.core)
+            size = source.basis.shape[1]
+            first, second = np.triu_indices(size)
+            self._single = array(np.where(first == second, 1.0, 0.5))
+
+    def start_round(self, rotation: NDArray[np.float64], target_of_source: NDArray[np.int64], weight: float) -> Round:
+        """Freeze the hard map `target_of_source` (n_x,) and the denominator at `rotation` (d, d)."""
+        backend = self.backend
+        carried = backend.gather(self._descriptors_y, backend.array(target_of_source.astype(np.int32)))
+        grams = (
+            backend.weighted_gram(self._descriptors_x, self._descriptors_x, self._mass_x),
+            backend.weighted_gram(carried, carried, self._mass_x),
+            backend.weighted_gram(self._descriptors_x, carried, self._mass_x),
+        )
+        if self.options.denominator == "differentiated":
+            return Round(*grams, denominator=0.0, weight=weight)
+        _, denominator, _, _ = backend.alignment(backend.array(rotation), *grams, self._one_sided)
+        return Round(*grams, denominator=float(denominator), weight=weight)
+
+    def pack(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the entries of (d, d) `rotation` inside the band, as the optimiser's vector."""
+        rows = np.repeat(np.arange(self.band.size), np.diff(self.band.offsets))
+        columns = np.concatenate([np.arange(a, b) for a, b in zip(self.band.lower, self.band.upper, strict=True)])
+        return np.ascontiguousarray(rotation[rows, columns], dtype=np.float64)
+
+    def unpack(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Inverse of `pack`: (d, d) with zeros outside the band."""
+        rotation = np.zeros((self.band.size, self.band.size))
+        rows = np.repeat(np.arange(self.band.size), np.diff(self.band.offsets))
+        columns = np.concatenate([np.arange(a, b) for a, b in zip(self.band.lower, self.band.upper, strict=True)])
+        rotation[rows, columns] = x
+        return rotation
+
+    def functional_map(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return C (k_y, k_x) from R by least squares (Eq. 11, 26)."""
+        alpha, beta = self._coefficients(self.backend.array(rotation))
+        return self.backend.numpy(self._solve(alpha, beta)[0]).astype(np.float64)
+
+    def value_and_gradient(self, x: NDArray[np.float64], frozen: Round) -> Evaluation:
+        """Evaluate Eq. 24 (or 32) at the packed entries `x` (variables,) of R."""
+        backend, options = self.backend, self.options
+        rotation = backend.band_expand(backend.array(x), self.band)
+        align, gradient = self._align(rotation, frozen)
+        alpha, beta = self._coefficients(rotation)
+        functional, gram = self._solve(alpha, beta)
+        state = self._soft_map(functional, self._sampled_basis, self._packed_y, self._normal_y)
+        unsup, dz = backend.distortion(state.z, self._core_y, self._left, self._core_x, self._weights)
+        scalars = {"align": align, "unsup": unsup}
+        unsup_weight = frozen.weight * (0.5 if options.cycle else 1.0)
+        slope = self._functional_gradient(state, self._sampled_basis, dz)
+        if options.cycle:
+            scalars["cycle"], cycle_slope, back = self._cycle(state, alpha, beta)
+            slope = backend.add(slope, cycle_slope)
+        dalpha, dbeta = self._solve_gradient(slope, functional, gram, alpha, beta)
+        if options.cycle:
+            dbeta_back, dalpha_back = self._solve_gradient(*back)
+            dalpha, dbeta = backend.add(dalpha, dalpha_back), backend.add(dbeta, dbeta_back)
+        backend.add(gradient, self._rotation_gradient(dalpha, dbeta), scale_b=unsup_weight, out=gradient)
+        scalars["unitarity"] = self._unitarity(rotation, gradient)
+        packed = backend.numpy(backend.band_gather(gradient, self.band)).astype(np.float64)
+        terms = {name: float(value) for name, value in scalars.items()}
+        if frozen.denominator > 0:
+            terms["align"] /= frozen.denominator
+        terms["unitarity"] /= self.band.size**2
+        distortion = terms["unsup"] + terms.get("cycle", 0.0)
+        total = terms["align"] + unsup_weight * distortion + options.unitarity * terms["unitarity"]
+        return Evaluation(total, terms, packed)
+
+    @property
+    def _one_sided(self) -> bool:
+        return self.options.sides == "one"
+
+    def _coefficients(self, rotation: Any) -> tuple[Any, Any]:
+        """Return α = F R and β = H Rᵀ (Eq. 26); one-sided: F C̃ and H (Eq. 18)."""
+        alpha = self.backend.banded_product(self._projection_x, rotation, self.band)
+        if self._one_sided:
+            return alpha, self._projection_y
+        return alpha, self.backend.banded_product(self._projection_y, rotation, self.band, transpose_r=True)
+
+    def _solve(self, alpha: Any, beta: Any) -> tuple[Any, Any]:
+        """Return C = β αᵀ (α αᵀ + ρ I)⁻¹ and the Gram matrix α αᵀ."""
+        gram = self.backend.product(alpha, alpha, transpose_b=True)
+        cross = self.backend.product(beta, alpha, transpose_b=True)
+        return self.backend.solve_right(gram, cross, RIDGE), gram
+
+    def _solve_gradient(self, slope: Any, functional: Any, gram: Any, alpha: Any, beta: Any) -> tuple[Any, Any]:
+        """Return dα and dβ for dC = `slope`, through C G = β αᵀ with G = α αᵀ + ρ I."""
+        backend = self.backend
+        dcross = backend.solve_right(gram, slope, RIDGE)
+        dgram = backend.product(functional, dcross, transpose_a=True, scale=-1.0)
+        dbeta = backend.product(dcross, alpha)
+        dalpha = backend.product(dcross, beta, transpose_a=True)
+        backend.product(dgram, alpha, accumulate=True, out=dalpha)
+        backend.product(dgram, alpha, transpose_a=True, accumulate=True, out=dalpha)
+        return dalpha, dbeta
+
+    def _rotation_gradient(self, dalpha: Any, dbeta: Any) -> Any:
+        """Return dR = Fᵀ dα + dβᵀ H."""
+        gradient = self.backend.product(self._projection_x, dalpha, transpose_a=True)
+        if not self._one_sided:
+            self.backend.product(dbeta, self._projection_y, transpose_a=True, accumulate=True, out=gradient)
+        return gradient
+
+    def _soft_map(self, functional: Any, basis: Any, packed: Any, normal: Any) -> _SoftMapState:
+        carried = self.backend.product(basis, functional, transpose_b=True)
+        z, s = self.backend.soft_map(carried, packed, normal)
+        return _SoftMapState(functional, carried, packed, normal, z, s)
+
+    def _functional_gradient(self, state: _SoftMapState, basis: Any, dz: Any) -> Any:
+        """Return dC = Σ_j dc_j φ_jᵀ."""
+        dc = self.backend.soft_map_gradient(state.carried, state.packed, state.normal, state.z, state.s, dz)
+        return self.backend.product(dc, basis, transpose_a=True)
+
+    def _align(self, rotation: Any, frozen: Round) -> tuple[Any, Any]:
+        """Return l_align (Eq. 21) and its gradient (d, d); with a frozen denominator the value still lacks it.
+
+        Only the differentiated denominator waits for the device here.
+        """
+        backend = self.backend
+        numerator, denominator, dnumerator, ddenominator = backend.alignment(
+            rotation, frozen.gram_source, frozen.gram_target, frozen.gram_cross, self._one_sided
+        )
+        if frozen.denominator > 0:
+            return numerator, backend.add(dnumerator, ddenominator, scale_a=1.0 / frozen.denominator, scale_b=0.0)
+        scale = 1.0 / float(denominator)
+        value = float(numerator) * scale
+        return value, backend.add(dnumerator, ddenominator, scale_a=scale, scale_b=-value * scale)
+
+    def _cycle(self, there: _SoftMapState, alpha: Any, beta: Any) -> tuple[Any, Any, tuple[Any, ...]]:
+        """Return l_cyc (Eq. 31), its gradient by C, and what carries it on through the map back.
+
+        P̃ goes from Y to X: Z̃ = P̃ᵀU_X on all of Y, then PᵀZ̃ on the samples of X, with moments rebuilt from Z̃.
+        """
+        backend = self.backend
+        functional_back, gram_back = self._solve(beta, alpha)
+        back = self._soft_map(functional_back, self._basis_y, self._packed_x, self._normal_x)
+        packed = backend.packed_moments(self._basis_y, self._soft_weights_y, back.z)
+        z, s = backend.soft_map(there.carried, packed, there.normal)
+        value, dz = backend.distortion(z, self._core_all_x, self._left, self._core_x, self._weights)
+        state = _SoftMapState(there.functional, there.carried, packed, there.normal, z, s)
+        slope = self._functional_gradient(state, self._sampled_basis, dz)
+        dpacked = self._packed_gradient(there.carried, s, dz)
+        dz_back = backend.packed_moments_gradient(self._basis_y, self._soft_weights_y, dpacked)
+        slope_back = self._functional_gradient(back, self._basis_y, dz_back)
+        return value, slope, (slope_back, functional_back, gram_back, beta, alpha)
+
+    def _packed_gradient(self, carried: Any, s: Any, dz: Any) -> Any:
+        """Return the gradient by the packed moments: Σ_j vech(c_j c_jᵀ) dz_jr / s_j."""
+        backend = self.backend
+        inverse = backend.array(1.0 / backend.numpy(s).astype(np.float64))
+        return backend.scale_rows(backend.packed_moments(carried, inverse, dz), self._single)
+
+    def _unitarity(self, rotation: Any, gradient: Any) -> Any:
+        """Return d² l_uni (Eq. 23); its penalty, if any, is added to `gradient`."""
+        backend, size = self.backend, self.band.size
+        excess = backend.product(rotation, rotation, transpose_b=True)
+        backend.add(excess, self._identity, scale_b=-1.0, out=excess)
+        flat = excess.reshape(size * size, 1)
+        if self.options.unitarity > 0:
+            scale = 4.0 * self.options.unitarity / size**2
+            backend.product(excess, rotation, scale=scale, accumulate=True, out=gradient)
+        return backend.weighted_gram(flat, flat).reshape(())
