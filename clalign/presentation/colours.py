@@ -6,12 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 UNMATCHED = np.array([0.72, 0.72, 0.72])
+"""Colour of vertices that the map gives no match."""
 
-# Blue, white, red and dark-to-light ramps of even lightness, as sRGB stops between which colours are interpolated.
 _DIVERGING = np.array(
     [[33, 60, 130], [58, 115, 178], [132, 182, 214], [243, 243, 240], [236, 163, 128], [202, 86, 74], [126, 22, 47]]
 )
 _SEQUENTIAL = np.array([[44, 30, 86], [59, 82, 139], [33, 145, 140], [94, 201, 98], [190, 220, 60], [253, 231, 37]])
+
+RAMPS = {"signed": _DIVERGING, "amount": _SEQUENTIAL}
+"""Stops (0 to 255, sRGB) between which colours are interpolated: blue-white-red, and dark to bright."""
 
 
 def position_colours(vertices: NDArray[np.floating], view: NDArray[np.float64]) -> NDArray[np.float64]:

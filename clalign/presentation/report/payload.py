@@ -1,0 +1,191 @@
+"""What the page shows, as plain facts for JSON and as named arrays in few bits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.correspondence import Alternative, Correspondence
+from clalign.evaluation.errors import Evaluation
+from clalign.geometry.mesh import Mesh
+from clalign.presentation.camera import Up, front_view
+from clalign.presentation.colours import RAMPS, UNMATCHED, position_colours
+from clalign.presentation.picture import map_turn
+from clalign.presentation.surface_map import SurfaceMap, surface_map, vertex_map
+
+_FUNCTION_BYTES = 8_000_000
+_MOST_FUNCTIONS = 120
+_HISTORY_LINES = ("total", "align", "unsup", "cycle", "unitarity")
+
+
+@dataclass(frozen=True)
+class Payload:
+    """Content of a page.
+
+    Attributes
+    ----------
+    facts : plain values for JSON.
+    arrays : by name; dtypes uint8, uint16, uint32, int32 or float32.
+    """
+
+    facts: dict[str, Any]
+    arrays: dict[str, NDArray[np.generic]]
+
+
+def build_payload(
+    correspondence: Correspondence,
+    *,
+    evaluation: Evaluation | None = None,
+    functions: int | None = None,
+    up: Up | None = None,
+) -> Payload:
+    """Collect everything that the page of a match shows.
+
+    Parameters
+    ----------
+    correspondence, evaluation, functions, up : see `clalign.presentation.report.write_report`.
+    """
+    source, target = correspondence.source, correspondence.target
+    view = front_view(target.vertices, up)
+    to_target = surface_map(correspondence)
+    views = {"source": view @ map_turn(source.vertices, target.vertices, to_target), "target": view}
+    arrays: dict[str, NDArray[np.generic]] = {}
+    shapes = {}
+    for side, mesh in (("source", source), ("target", target)):
+        placed = mesh.vertices @ views[side].T
+        low, span = placed.min(axis=0), float(np.ptp(placed, axis=0).max()) or 1.0
+        arrays[f"{side}-positions"] = np.rint((placed - low) / span * 65535).astype(np.uint16)
+        arrays[f"{side}-faces"] = mesh.faces.astype(np.uint16 if mesh.n_vertices < 1 << 16 else np.uint32)
+        arrays[f"{side}-numbers"] = mesh.file_index.astype(np.uint32)
+        shapes[side] = {**_mesh_facts(mesh), "low": low.tolist(), "span": span}
+    arrays["colours"] = _bytes(position_colours(target.vertices, view))
+    arrays["distortion"] = correspondence.distortion.astype(np.float32)
+    arrays["rotation"] = correspondence.rotation.astype(np.float32)
+    arrays["functional-map"] = correspondence.functional_map.astype(np.float32)
+    maps = _add_maps(correspondence, arrays)
+    shown = _add_functions(correspondence, to_target, functions, arrays)
+    facts = {
+        **shapes,
+        "maps": maps,
+        "functions": shown,
+        "ramps": {name: stops.tolist() for name, stops in RAMPS.items()},
+        "unmatched": (UNMATCHED * 255).round().astype(int).tolist(),
+        "history": _history(correspondence),
+        "evaluation": None if evaluation is None else _evaluation(evaluation),
+        **_provenance(correspondence),
+    }
+    return Payload(facts, arrays)
+
+
+def _add_maps(correspondence: Correspondence, arrays: dict[str, NDArray[np.generic]]) -> list[dict[str, Any]]:
+    source, target = correspondence.source, correspondence.target
+    described: list[dict[str, Any]] = [
+        {"label": "the chosen map", "orientation": _number(correspondence.orientation), "score": None, "distance": 0.0}
+    ]
+    described += [
+        {
+            "label": f"alternative {rank}",
+            "orientation": _number(other.orientation),
+            "score": _number(other.score),
+            "distance": _number(other.distance),
+        }
+        for rank, other in enumerate(correspondence.alternatives, start=1)
+    ]
+    every_map: tuple[Correspondence | Alternative, ...] = (correspondence, *correspondence.alternatives)
+    for rank, maps in enumerate(every_map):
+        forward = vertex_map(maps.target_of_source, source, target)
+        backward = vertex_map(maps.source_of_target, target, source)
+        arrays[f"map-{rank}-target-of-source"] = forward.vertex.astype(np.int32)
+        arrays[f"map-{rank}-source-of-target"] = backward.vertex.astype(np.int32)
+    return described
+
+
+def _add_functions(
+    correspondence: Correspondence,
+    to_target: SurfaceMap,
+    wanted: int | None,
+    arrays: dict[str, NDArray[np.generic]],
+) -> dict[str, Any]:
+    source_count, target_count = correspondence.source.n_vertices, correspondence.target.n_vertices
+    available = len(correspondence.rotation)
+    fitting = min(_MOST_FUNCTIONS, _FUNCTION_BYTES // (2 * (source_count + target_count)))
+    shown = min(available, max(1, fitting) if wanted is None else max(1, wanted))
+    stages = {
+        "before": (correspondence.source_descriptors.functions, correspondence.target_descriptors.functions),
+        "after": (correspondence.source_aligned, correspondence.target_aligned),
+    }
+    agreement = {}
+    for stage, (on_source, on_target) in stages.items():
+        on_source, on_target = on_source[:, :shown], on_target[:, :shown]
+        # One scale a function and stage, so that equal colours on both shapes are equal values.
+        limits = np.maximum(np.abs(on_source).max(axis=0), np.abs(on_target).max(axis=0))
+        limits = np.where(limits > 0, limits, 1.0)
+        for side, values in (("source", on_source), ("target", on_target)):
+            arrays[f"{side}-{stage}"] = np.rint(127.5 + 127.5 * (values / limits).T).astype(np.uint8)
+        agreement[stage] = _agreement(on_source, on_target, to_target, correspondence.source_basis.mass)
+    return {"available": available, "shown": shown, "agreement": agreement}
+
+
+def _agreement(
+    on_source: NDArray[np.float64], on_target: NDArray[np.float64], to_target: SurfaceMap, mass: NDArray[np.float64]
+) -> list[float | None]:
+    """Cosine between each source function and its target function pulled back by the map, in area weights."""
+    weight = np.where(to_target.matched, mass, 0.0)[:, None]
+    pulled = to_target.pull(on_target)
+    inner = (weight * on_source * pulled).sum(axis=0)
+    norms = np.sqrt((weight * on_source**2).sum(axis=0) * (weight * pulled**2).sum(axis=0))
+    return [_number(value) for value in inner / np.where(norms > 0, norms, 1.0)]
+
+
+def _history(correspondence: Correspondence) -> dict[str, list[float | None]]:
+    columns = {"round": [_number(entry.get("round", 0)) for entry in correspondence.history]}
+    for name in _HISTORY_LINES:
+        values = [_number(entry.get(name, math.nan)) for entry in correspondence.history]
+        if any(value is not None and value != 0 for value in values):
+            columns[name] = values
+    return columns
+
+
+def _evaluation(evaluation: Evaluation) -> dict[str, Any]:
+    values = evaluation.as_dict()
+    return {
+        "points": values["points"],
+        "distances": values["distances"],
+        "exact": _number(evaluation.exact),
+        "mean": _number(evaluation.mean),
+        "median": _number(evaluation.median),
+        "mirrored_mean": None if evaluation.mirrored_mean is None else _number(evaluation.mirrored_mean),
+        "area_under_curve": _number(evaluation.area_under_curve()),
+        "threshold": values["curve"]["threshold"],
+        "share": values["curve"]["per_sqrt_area"],
+    }
+
+
+def _provenance(correspondence: Correspondence) -> dict[str, Any]:
+    facts = correspondence.facts()
+    names = ("device", "confidence", "orientation", "losses", "timings", "warnings", "options", "versions")
+    return {name: facts[name] for name in names}
+
+
+def _mesh_facts(mesh: Mesh) -> dict[str, Any]:
+    return {
+        "name": mesh.name,
+        "file": Path(mesh.path).name if mesh.path else None,
+        "vertices": mesh.n_vertices,
+        "faces": mesh.n_faces,
+        "scale": _number(mesh.scale),
+        "notes": list(mesh.notes),
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _bytes(colours: NDArray[np.float64]) -> NDArray[np.uint8]:
+    return np.rint(colours * 255.0).astype(np.uint8)
