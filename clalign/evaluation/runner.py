@@ -149,7 +149,7 @@ def measure(task: Task) -> tuple[Record, Curves]:
     except ClalignError as error:
         return failed_record(task.key, str(error)), {}
     except Exception as error:
-        logger.exception("%s, %s", task.pair.name, task.method.name)
+        logger.debug("%s, %s", task.pair.name, task.method.name, exc_info=True)
         return failed_record(task.key, f"{type(error).__name__}: {error}"), {}
     curves = {"sqrt_area": evaluation.curve(), "diameter": evaluation.curve(per_diameter=True)}
     return record_of(task.key, evaluation, outcome), curves

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from clalign.errors import ResultError
 
+from .errors import THRESHOLDS
 from .records import Key, Record
 
 
@@ -63,8 +64,11 @@ def mean_curve(records: Sequence[Record], curves: Mapping[Key, NDArray[np.float6
     missing = [record for record in records if not record.failed and record.key not in curves]
     if missing:
         raise ResultError(f"no curve of {missing[0].pair} by {missing[0].method}; curves.csv and pairs.csv differ")
-    known = [curves[record.key] for record in records if not record.failed]
-    return np.sum(known, axis=0) / max(len(records), 1)
+    total = np.zeros(THRESHOLDS.size)
+    for record in records:
+        if not record.failed:
+            total += curves[record.key]
+    return total / max(len(records), 1)
 
 
 def markdown(summaries: Sequence[Summary]) -> str:
