@@ -10,7 +10,7 @@ PYTHON ?=
 help: ## show this list
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):[^#]*## /  make \1\t/' | expand -t 16
 
-demo: $(VENV)/.installed-demo ## match the bundled pair and open nothing: the result is written to clalign-demo/
+demo: $(VENV)/.installed-demo ## match the bundled pair of humans; the result goes to clalign-demo/
 	$(BIN)/clalign demo
 
 test: $(VENV)/.installed-test lint ## run the linters and every test
