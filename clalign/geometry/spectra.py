@@ -10,9 +10,11 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from clalign.errors import ConvergenceError
+
+from .lanczos import factorise, lowest_pairs
 
 logger = logging.getLogger(__name__)
 
@@ -48,6 +50,7 @@ def solve(
     mass: NDArray[np.float64],
     count: int,
     solver: Literal["block", "arpack"] = "block",
+    threads: int = 1,
 ) -> Spectrum:
     """Return the lowest eigenpairs of W φ = λ M φ, with every residual checked.
 
@@ -59,7 +62,8 @@ def solve(
     stiffness : (n, n) symmetric positive semi-definite W.
     mass : (n,) positive diagonal of M.
     count : number of eigenpairs.
-    solver : "block" (shift-invert block Lanczos, `lanczos.block_lanczos`) or "arpack" (the reference).
+    solver : "block" (shift-invert block Lanczos, `lanczos.lowest_pairs`) or "arpack" (the reference).
+    threads : slices of the spectrum that "block" computes side by side.
 
     Returns
     -------
@@ -81,6 +85,8 @@ def solve(
     unit = eigenvalue_unit(mass)
     if n < DENSE_BELOW:
         values, vectors = scipy.linalg.eigh(operator.toarray(), subset_by_index=(0, capped - 1))
+    elif solver == "block":
+        values, vectors = _block(operator, capped, unit, threads)
     else:
         values, vectors = _arpack(operator, capped, unit)
     residual = _largest_residual(operator, values, vectors, unit)
@@ -113,11 +119,19 @@ def fix_signs(functions: NDArray[np.float64], mass: NDArray[np.float64]) -> NDAr
     return np.ascontiguousarray(functions * signs)
 
 
+def _block(
+    operator: sparse.csc_matrix, count: int, unit: float, threads: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    try:
+        return lowest_pairs(operator, count, unit, threads)
+    except (ConvergenceError, RuntimeError, np.linalg.LinAlgError) as error:
+        logger.warning("block Lanczos failed (%s); ARPACK takes over", error)
+        return _arpack(operator, count, unit)
+
+
 def _arpack(operator: sparse.csc_matrix, count: int, unit: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     n = operator.shape[0]
-    shifted = sparse.csc_matrix(operator + unit * sparse.eye_array(n))
-    factors = splu(shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    inverse = LinearOperator((n, n), matvec=factors.solve, dtype=np.float64)
+    inverse = LinearOperator((n, n), matvec=factorise(operator, -unit).solve, dtype=np.float64)
     start = np.cos(np.arange(n, dtype=np.float64) ** 2)
     values, vectors = eigsh(operator, count, sigma=-unit, OPinv=inverse, v0=start, which="LM")
     order = np.argsort(values, kind="stable")
