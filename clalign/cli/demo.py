@@ -35,7 +35,10 @@ def run(args: argparse.Namespace) -> int:
     pair = bundled_pair()
 
     def truths(source: Mesh, target: Mesh) -> Truths:
-        counts = {"source_count": source.file_count, "target_count": target.file_count}
-        return Truths(read_index_truth(pair.truth, **counts), read_index_truth(pair.mirrored, **counts))
+        truth, mirrored = (
+            read_index_truth(path, source_count=source.file_count, target_count=target.file_count)
+            for path in (pair.truth, pair.mirrored)
+        )
+        return Truths(truth, mirrored)
 
     return run_job(pair.source, pair.target, args, truths, force=True)
