@@ -271,7 +271,7 @@ def _converted(group: Any, name: str, key: str, value: Any) -> Any:
     current = getattr(group, name, None)
     if name not in names or dataclasses.is_dataclass(current):
         raise OptionError(f"unknown option {key!r}; there are {', '.join(names)}")
-    kind = type(current)
+    kind: type[Any] = type(current)
     if kind is bool and isinstance(value, str):
         words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
         if value.lower() not in words:
