@@ -97,7 +97,7 @@ function showLegend(legend) {
 
 function showAgreement() {
   byId("function-controls").hidden = shown.colouring !== "function";
-  const value = (stage) => readable(facts.functions.agreement[stage][shown.function - 1], 2);
+  const value = (stage) => facts.functions.agreement[stage][shown.function - 1]?.toFixed(2) ?? "–";
   byId("agreement").textContent = `agreement across the chosen map: ${value("before")} before, ${value("after")} after`;
 }
 

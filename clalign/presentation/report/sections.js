@@ -2,7 +2,7 @@
 
 const HISTORY_NAMES = {
   total: "total (Eq. 24)", align: "alignment (Eq. 21)", unsup: "distances (Eq. 22)", cycle: "cycle (Eq. 31)",
-  unitarity: "unitarity of R (Eq. 23, only reported unless weighted)",
+  unitarity: "unitarity of R (Eq. 23)",
 };
 
 function fillHead() {
