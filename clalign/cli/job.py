@@ -153,22 +153,36 @@ def _matched(
 def _extra_files(
     result: Correspondence, evaluation: Evaluation | None, args: argparse.Namespace, terminal: Terminal
 ) -> Callable[[Path], None]:
+    def picture(path: Path) -> None:
+        from clalign.presentation.picture import save_match_picture
+
+        save_match_picture(result, path)
+
+    def report(path: Path) -> None:
+        from clalign.presentation.report import write_report
+
+        write_report(result, path, evaluation=evaluation)
+
     def write(folder: Path) -> None:
         if evaluation is not None:
             evaluation.write_json(folder / EVALUATION_FILE)
         if not args.no_picture:
-            _write_picture(result, folder, terminal)
+            _drawn(picture, folder / PICTURE_FILE, terminal)
+        if not args.no_report:
+            _drawn(report, folder / REPORT_FILE, terminal)
 
     return write
 
 
-def _write_picture(result: Correspondence, folder: Path, terminal: Terminal) -> None:
+def _drawn(draw: Callable[[Path], None], path: Path, terminal: Terminal) -> None:
+    """Draw one file; minutes of matching are not thrown away for a picture, but a full disk is for `save` to report."""
     try:
-        from clalign.presentation.picture import save_match_picture
-    except ImportError as error:
-        terminal.warn(f"{PICTURE_FILE} was not drawn: {error}; install it with: pip install 'clalign[plots]'")
-        return
-    save_match_picture(result, folder / PICTURE_FILE)
+        draw(path)
+    except OSError:
+        raise
+    except Exception as error:
+        path.unlink(missing_ok=True)
+        terminal.warn(f"{path.name} was not drawn: {type(error).__name__}: {error}")
 
 
 def _show_summary(result: Correspondence, evaluation: Evaluation | None, folder: Path, terminal: Terminal) -> None:

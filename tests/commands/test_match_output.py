@@ -121,10 +121,30 @@ def test_force_replaces_and_the_default_refuses(tmp_path: Path, bumpy_files: tup
 
 
 @pytest.mark.usefixtures("perfect")
-def test_picture_lands_in_the_same_folder(tmp_path: Path, bumpy_files: tuple[Path, ...]) -> None:
-    command = [word for word in arguments(bumpy_files, tmp_path / "out", "--quiet") if word != "--no-picture"]
-    assert main(command) == 0
+def test_picture_and_report_land_in_the_same_folder(tmp_path: Path, bumpy_files: tuple[Path, ...]) -> None:
+    command = arguments(bumpy_files, tmp_path / "out", "--quiet")
+    assert main([word for word in command if not word.startswith("--no-")]) == 0
     assert (tmp_path / "out" / "match.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "out" / "report.html").read_text(encoding="utf-8").lower().startswith("<!doctype html>")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES | {"match.png", "report.html"}
+
+
+@pytest.mark.usefixtures("perfect")
+def test_failing_picture_does_not_cost_the_match(
+    tmp_path: Path,
+    bumpy_files: tuple[Path, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(_: Correspondence, path: Path) -> None:
+        path.write_bytes(b"half")
+        raise ValueError("no colours left")
+
+    monkeypatch.setattr("clalign.presentation.picture.save_match_picture", fail)
+    command = arguments(bumpy_files, tmp_path / "out", "--quiet")
+    assert main([word for word in command if word != "--no-picture"]) == 0
+    assert "warning: match.png was not drawn: ValueError: no colours left\n" in capsys.readouterr().err
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
 
 @pytest.mark.parametrize(
