@@ -1,4 +1,4 @@
-"""Reading mesh files with their vertex numbers kept, and writing meshes for other tools.
+"""Reading mesh files with their vertex numbers kept.
 
 trimesh keeps a file's numbering only for OFF and PLY: an OBJ with texture coordinates comes back split at the seams,
 and an STL has no numbering at all. PLY and STL are read through trimesh's format functions and compared with the file's
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from clalign.errors import MeshError
 from clalign.geometry.mesh_topology import merge_positions
@@ -59,14 +59,18 @@ def read_mesh_file(path: str | os.PathLike[str]) -> FileMesh:
         naming the file and the reason, if it is missing, unreadable, of another format, truncated or damaged.
     """
     path = Path(path)
-    reader = _READERS.get(path.suffix.lower())
-    if path.is_dir():
+    if os.path.isdir(path):
         raise MeshError(f"{path}: is a directory; name a mesh file in it ({', '.join(SUFFIXES)})")
-    if reader is None and path.exists():
-        raise MeshError(f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(SUFFIXES)}")
-    content = _file_content(path)
+    # A pipe or device could block for ever; what does not exist gets its own message when it is opened.
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise MeshError(f"{path}: is not a regular file; save the mesh to a file first")
+    reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise MeshError(f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(SUFFIXES)}")
+        raise MeshError(
+            f"{path}: {'unknown mesh format' if os.path.exists(path) else 'no such file, and not a mesh format'} "
+            f"('{path.suffix}'); give a file of the kind {', '.join(SUFFIXES)}"
+        )
+    content = _file_content(path)
     if not content.strip():
         raise MeshError(f"{path}: the file is empty; export the mesh again")
     try:
@@ -90,22 +94,24 @@ def _file_content(path: Path) -> bytes:
 def _read_off(content: bytes) -> FileMesh:
     """OFF and its variants with colours or normals (COFF, NOFF, STOFF, ...): positions are the first three numbers."""
     lines = _text_lines(content)
-    header = re.match(rb"(?:ST)?C?N?(4?)(n?)OFF\b\s*(?P<rest>.*)", lines[0] if lines else b"")
+    header = re.match(rb"(?:ST)?C?N?(4?n?)(?:OFF|off)\b\s*(?P<rest>.*)", lines[0] if lines else b"")
     if header is None:
         raise _FormatError("does not begin with OFF, so it is no OFF file; is the suffix right?")
-    if header[1] or header[2] or header["rest"].upper().startswith(b"BINARY"):
+    if header[1] or header["rest"].upper().startswith(b"BINARY"):
         raise _FormatError("is an OFF variant (4OFF, nOFF or binary) that is not read; export it as plain OFF or PLY")
     rows = ([header["rest"]] if header["rest"] else []) + lines[1:]
     counts = rows[0].split() if rows else []
     if len(counts) < 2 or not all(re.fullmatch(rb"\d{1,15}", word) for word in counts[:2]):
         raise _FormatError("has no line with the counts of vertices and faces after OFF; export it again")
     n_vertices, n_faces = int(counts[0]), int(counts[1])
-    if len(rows) - 1 < n_vertices + n_faces:
+    if len(rows) - 1 != n_vertices + n_faces:
         raise _FormatError(
-            f"its header promises {n_vertices} vertices and {n_faces} faces, but only {len(rows) - 1} lines follow; "
+            f"its header promises {n_vertices} vertices and {n_faces} faces, but {len(rows) - 1} lines follow; "
             "the file is truncated or its counts are wrong"
         )
-    vertices = _positions([row.split(None, 3)[:3] for row in rows[1 : n_vertices + 1]])
+    vertex_rows = [row.split() for row in rows[1 : n_vertices + 1]]
+    _same_width(vertex_rows)
+    vertices = _positions([words[:3] for words in vertex_rows])
     polygons = []
     for number, row in enumerate(rows[n_vertices + 1 : n_vertices + n_faces + 1]):
         words = row.split()
@@ -150,28 +156,29 @@ def _read_ply(content: bytes) -> FileMesh:
     header_end = re.search(rb"end_header\r?\n?", content)
     if not content.startswith(b"ply") or header_end is None:
         raise _FormatError("has no PLY header, so it is no PLY file; is the suffix right?")
-    header = content[: header_end.start()]
-    promised = {}
-    for element in (b"vertex", b"face"):
-        found = re.search(rb"^\s*element\s+" + element + rb"\s+(\d{1,15})\s*$", header, re.MULTILINE)
-        if found is None:
-            raise _FormatError(f"its header names no {element.decode()} element; export it as a triangle mesh")
-        promised[element] = int(found[1])
+    header, body = content[: header_end.start()], content[header_end.end() :]
+    elements = re.findall(rb"^\s*element\s+(\w+)\s+(\d{1,15})\s*$", header, re.MULTILINE)
+    counts = {name: int(count) for name, count in elements}
+    if not {b"vertex", b"face"} <= counts.keys():
+        raise _FormatError("its header does not count vertices and faces; export it as a triangle mesh")
+    n_vertices, n_faces = counts[b"vertex"], counts[b"face"]
+    promise = f"its header promises {n_vertices} vertices and {n_faces} faces"
     # Every vertex takes at least three bytes: counts beyond that would only make the reader ask for absurd memory.
-    if 3 * promised[b"vertex"] + promised[b"face"] > len(content) - header_end.end():
-        raise _FormatError(
-            f"its header promises {promised[b'vertex']} vertices and {promised[b'face']} faces, more than the file can "
-            "hold; the file is truncated or its counts are wrong"
-        )
+    if 3 * n_vertices + n_faces > len(body):
+        raise _FormatError(f"{promise}, more than the file can hold; the file is truncated or its counts are wrong")
+    if re.search(rb"^\s*format\s+ascii", header, re.MULTILINE):
+        n_lines = sum(1 for line in body.splitlines() if line.strip())
+        if n_lines != sum(counts.values()):
+            raise _FormatError(f"{promise}, but {n_lines} lines follow; the file is truncated or its counts are wrong")
     from trimesh.exchange.ply import load_ply
 
     loaded = _quietly(load_ply, content, fix_texture=False, skip_materials=True)
-    vertices = _loaded_array(loaded, "vertices", np.float64)
-    faces = _loaded_array(loaded, "faces", np.int64)
-    if len(vertices) != promised[b"vertex"] or len(faces) < promised[b"face"]:
+    vertices = _loaded_vertices(loaded)
+    faces = _loaded_faces(loaded)
+    if len(vertices) != n_vertices or len(faces) < n_faces:
         raise _FormatError(
-            f"its header promises {promised[b'vertex']} vertices and {promised[b'face']} faces, but {len(vertices)} "
-            f"vertices and {len(faces)} triangles could be read; the file is truncated or its counts are wrong"
+            f"{promise}, but {len(vertices)} vertices and {len(faces)} triangles could be read; the file is truncated, "
+            "its counts are wrong, or it has faces with fewer than three corners"
         )
     return FileMesh(vertices, faces)
 
@@ -181,8 +188,8 @@ def _read_stl(content: bytes) -> FileMesh:
     from trimesh.exchange.stl import load_stl
 
     loaded = _quietly(load_stl, content)
-    corners = _loaded_array(loaded, "vertices", np.float64)
-    faces = _loaded_array(loaded, "faces", np.int64)
+    corners = _loaded_vertices(loaded)
+    faces = _loaded_faces(loaded)
     if not len(faces):
         raise _FormatError("has no facets, or is no STL file; is the suffix right?")
     first, vertex_of_corner = merge_positions(corners)
@@ -201,107 +208,22 @@ _READERS: dict[str, Callable[[bytes], FileMesh]] = {
 }
 
 
-def save_mesh(
-    path: str | os.PathLike[str], vertices: ArrayLike, faces: ArrayLike, colours: ArrayLike | None = None
-) -> None:
-    """Write a mesh for other tools, keeping the order of the vertices; the file appears whole or not at all.
-
-    Parameters
-    ----------
-    path : str or path-like
-        with suffix `.ply` (binary, float64), `.off` or `.obj`.
-    vertices : (n, 3) float
-    faces : (m, 3) int
-    colours : (n, 3) or (n, 4), optional
-        uint8, or float from 0 to 1.
-
-    Raises
-    ------
-    MeshError
-        for another suffix, colours that do not fit, or a file that cannot be written.
-    """
-    path = Path(path)
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise MeshError(f"{path}: meshes are not written as '{path.suffix}'; use one of {', '.join(_WRITERS)}")
-    points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
-    triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
-    content = writer(points, triangles, None if colours is None else _colour_bytes(colours, len(points), path))
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        partial.write_bytes(content)
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise MeshError(
-            f"{path}: cannot be written ({error.strerror}); check the folder and its access rights"
-        ) from error
-
-
-Colours = NDArray[np.uint8] | None
-
-
-def _colour_bytes(colours: ArrayLike, count: int, path: Path) -> NDArray[np.uint8]:
-    """(n, 3) uint8 colours."""
-    values = np.asarray(colours)
-    if values.ndim != 2 or len(values) != count or values.shape[1] not in (3, 4):
-        raise MeshError(f"{path}: colours have shape {values.shape}; expected ({count}, 3)")
-    if values.dtype.kind == "f":
-        values = np.rint(np.clip(values, 0.0, 1.0) * 255.0)
-    return values[:, :3].astype(np.uint8)
-
-
-def _ply_bytes(points: NDArray[np.float64], triangles: NDArray[np.int64], colours: Colours) -> bytes:
-    fields: list[tuple[str, str]] = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    header += [f"property double {axis}" for axis in "xyz"]
-    if colours is not None:
-        fields += [(name, "u1") for name in ("red", "green", "blue")]
-        header += [f"property uchar {name}" for name in ("red", "green", "blue")]
-    header += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header", ""]
-    rows = np.zeros(len(points), dtype=fields)
-    for axis, name in enumerate("xyz"):
-        rows[name] = points[:, axis]
-    for channel, (name, _) in enumerate(fields[3:]):
-        rows[name] = colours[:, channel] if colours is not None else 0
-    sides = np.zeros(len(triangles), dtype=[("count", "u1"), ("corners", "<i4", (3,))])
-    sides["count"], sides["corners"] = 3, triangles
-    return "\n".join(header).encode() + rows.tobytes() + sides.tobytes()
-
-
-def _off_bytes(points: NDArray[np.float64], triangles: NDArray[np.int64], colours: Colours) -> bytes:
-    lines = ["OFF" if colours is None else "COFF", f"{len(points)} {len(triangles)} 0"]
-    if colours is None:
-        lines += [f"{x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
-    else:
-        pairs = zip(points.tolist(), colours.tolist(), strict=True)
-        lines += [f"{x!r} {y!r} {z!r} {r} {g} {b} 255" for (x, y, z), (r, g, b) in pairs]
-    lines += [f"3 {a} {b} {c}" for a, b, c in triangles.tolist()]
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _obj_bytes(points: NDArray[np.float64], triangles: NDArray[np.int64], colours: Colours) -> bytes:
-    if colours is None:
-        lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
-    else:
-        pairs = zip(points.tolist(), (colours / 255.0).tolist(), strict=True)
-        lines = [f"v {x!r} {y!r} {z!r} {r:.4f} {g:.4f} {b:.4f}" for (x, y, z), (r, g, b) in pairs]
-    lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
-    return ("\n".join(lines) + "\n").encode()
-
-
-_WRITERS: dict[str, Callable[[NDArray[np.float64], NDArray[np.int64], Colours], bytes]] = {
-    ".ply": _ply_bytes,
-    ".off": _off_bytes,
-    ".obj": _obj_bytes,
-}
-
-
 def _text_lines(content: bytes) -> list[bytes]:
-    """Lines without comments and blanks."""
+    """Lines without comments, blanks and byte-order mark."""
+    content = content.removeprefix(b"\xef\xbb\xbf")
     if b"#" in content:
         content = re.sub(rb"#[^\r\n]*", b"", content)
     return [line for line in (raw.strip() for raw in content.splitlines()) if line]
+
+
+def _same_width(rows: list[list[bytes]]) -> None:
+    """Refuse a row unlike the first: with wrong counts in the header, faces would be read as vertices."""
+    for number, words in enumerate(rows):
+        if len(words) != len(rows[0]):
+            raise _FormatError(
+                f"vertex {number} is given as {_shown(b' '.join(words))}, {len(words)} numbers where vertex 0 has "
+                f"{len(rows[0])}; the counts in the header may be wrong"
+            )
 
 
 def _positions(rows: list[list[bytes]]) -> NDArray[np.float64]:
@@ -361,12 +283,26 @@ def _quietly(reader: Callable[..., Any], content: bytes, **options: Any) -> dict
     return dict(loaded)
 
 
-def _loaded_array(loaded: dict[str, Any], key: str, dtype: type) -> NDArray[Any]:
-    """(n, 3) array from what trimesh returned."""
-    values = loaded.get(key)
-    values = np.zeros((0, 3)) if values is None else np.asarray(values)
+def _loaded_rows(loaded: dict[str, Any], key: str) -> NDArray[np.number]:
+    """The (n, c) array of numbers that trimesh returned under `key`, c at least 3."""
+    values = np.zeros((0, 3)) if loaded.get(key) is None else np.asarray(loaded[key])
     if values.size == 0:
-        return np.zeros((0, 3), dtype=dtype)
-    if values.ndim != 2 or values.shape[1] != 3 or values.dtype.kind not in "iuf":
-        raise _FormatError(f"has {key} of shape {values.shape}; expected rows of three numbers")
-    return values.astype(dtype)
+        return np.zeros((0, 3))
+    if values.ndim != 2 or values.shape[1] < 3 or values.dtype.kind not in "iuf":
+        raise _FormatError(f"is damaged or truncated: its {key} are no table of numbers; export it again")
+    return values
+
+
+def _loaded_vertices(loaded: dict[str, Any]) -> NDArray[np.float64]:
+    """(n, 3) positions from what trimesh returned."""
+    return _loaded_rows(loaded, "vertices")[:, :3].astype(np.float64)
+
+
+def _loaded_faces(loaded: dict[str, Any]) -> NDArray[np.int64]:
+    """(m, 3) triangles from what trimesh returned, which may be polygons of one size."""
+    rows = _loaded_rows(loaded, "faces")
+    if rows.dtype.kind == "f" and not (np.isfinite(rows) & (rows == np.floor(rows)) & (np.abs(rows) < 2**62)).all():
+        raise _FormatError("its faces contain something else than vertex numbers; export it again")
+    polygons = rows.astype(np.int64)
+    fans = [polygons[:, [0, step, step + 1]] for step in range(1, polygons.shape[1] - 1)]
+    return np.stack(fans, axis=1).reshape(-1, 3)

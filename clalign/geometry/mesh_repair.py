@@ -1,9 +1,9 @@
 """Make a usable surface out of a defective mesh, with the way back to its file's vertex numbers.
 
 The mesh is taken apart into faces and glued together again along those sides only where that gives a surface: sides
-with exactly two faces, and from crowded edges the two that belong to the same patch (so a body survives when a fin is
-cut off it). The corners that are then connected around a point are the vertices of the result, which splits pinched
-points and non-manifold edges in one step.
+with exactly two faces, and of crowded edges those that belong to one patch or continue each other most straightly (so
+a body survives when a fin or an inner wall is cut off it). The corners that are then connected around a point are the
+vertices of the result, which splits pinched points and non-manifold edges in one step.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from clalign.geometry.mesh_defects import Surface
 from clalign.geometry.mesh_topology import BoolArray, IntArray
 
 _PASSES = 10
+_MOST_AROUND = 16
+"""Edges with more faces than this are cut without looking for the faces that continue each other."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +86,12 @@ def _readable(surface: Surface, notes: list[str]) -> Surface:
     n = len(surface.vertices)
     known: BoolArray = np.all((surface.faces >= 0) & (surface.faces < n), axis=1)
     _note(notes, ~known, "faces with vertex numbers out of range dropped")
-    sound = np.isfinite(surface.vertices).all(axis=1) & (np.abs(surface.vertices) <= MAX_COORDINATE).all(axis=1)
-    placed = known.copy()
-    placed[known] = sound[surface.faces[known]].all(axis=1)
+    # NaN compares false, so that it fails here as well.
+    sound: BoolArray = np.all(np.abs(surface.vertices) <= MAX_COORDINATE, axis=1)
+    placed: BoolArray = known.copy()
+    placed[known] = np.all(sound[surface.faces[known]], axis=1)
     _note(notes, known & ~placed, "faces at NaN, infinite or giant coordinates dropped")
-    kept = replace(surface, faces=np.where(placed[:, None], surface.faces, 0)) if n else surface
-    return kept.keep(placed)
+    return surface.keep(placed)
 
 
 def _merged(surface: Surface, notes: list[str]) -> Surface:
@@ -107,13 +109,13 @@ def _without_degenerate(surface: Surface, notes: list[str]) -> Surface:
     repeated: BoolArray = np.asarray((a == b) | (b == c) | (c == a))
     _note(notes, repeated, "faces that name a vertex twice dropped")
     surface = surface.keep(~repeated)
-    double = topology.duplicate_faces(surface.faces)
+    double: BoolArray = topology.duplicate_faces(surface.faces)
     _note(notes, double, "repeated faces dropped")
     surface = surface.keep(~double)
     if not len(surface.faces):
         return surface
     bare, _ = bare_vertices(surface)
-    flat = bare[surface.faces].any(axis=1)
+    flat: BoolArray = np.any(bare[surface.faces], axis=1)
     _note(notes, flat, "zero-area faces around vertices without area dropped")
     return surface.keep(~flat)
 
@@ -122,7 +124,7 @@ def _glued(surface: Surface, notes: list[str]) -> Surface:
     """Take the faces apart and glue them to a manifold, orientable surface, turning faces where needed."""
     for _ in range(_PASSES):
         table = topology.edge_table(surface.faces, len(surface.vertices))
-        one, other = _gluing(table, len(surface.faces))
+        one, other = _gluing(surface, table)
         agreeing, turn = _orientable(surface, table, one, other)
         _, fan = topology.corner_fans(surface.faces, one[agreeing], other[agreeing])
         _note(notes, turn, "faces turned round to agree with the others")
@@ -144,18 +146,53 @@ def _glued(surface: Surface, notes: list[str]) -> Surface:
     return surface
 
 
-def _gluing(table: topology.EdgeTable, n_faces: int) -> tuple[IntArray, IntArray]:
-    """Pairs of half-edges to glue: the two of every proper edge, and of crowded ones the only two of a patch."""
+def _gluing(surface: Surface, table: topology.EdgeTable) -> tuple[IntArray, IntArray]:
+    """Pairs of half-edges to glue: the two of a proper edge, and of crowded edges those that continue each other."""
     one, other = topology.paired_half_edges(table)
-    crowded = np.flatnonzero(table.face_count[table.edge_of_half_edge] > 2)
-    if not len(crowded):
-        return one, other
-    _, patch = topology.face_components(table, n_faces)
-    keys = table.edge_of_half_edge[crowded] * np.int64(n_faces) + patch[crowded % n_faces]
-    order = np.argsort(keys, kind="stable")
-    _, start, counts = np.unique(keys[order], return_index=True, return_counts=True)
-    twos = start[counts == 2]
-    return np.concatenate([one, crowded[order[twos]]]), np.concatenate([other, crowded[order[twos + 1]]])
+    around = table.face_count[table.edge_of_half_edge]
+    free = np.flatnonzero((around > 2) & (around <= _MOST_AROUND))
+    free = free[np.argsort(table.edge_of_half_edge[free], kind="stable")]
+    _, patch = topology.face_components(table, len(surface.faces))
+    away = _away_from_edge(surface)
+    firsts, seconds = [one], [other]
+    for turn in range(_MOST_AROUND // 2):
+        a, b = _pairs_on_same_edge(free, table.edge_of_half_edge)
+        same_patch = patch[a % len(patch)] == patch[b % len(patch)]
+        if turn:
+            # Beside the best pair only sheets that are one anyway go on across the edge.
+            a, b, same_patch = a[same_patch], b[same_patch], same_patch[same_patch]
+        if not len(a):
+            break
+        straight = 4.0 * same_patch - np.einsum("ij,ij->i", away[a], away[b])
+        order = np.lexsort((-straight, table.edge_of_half_edge[a]))
+        best = order[np.unique(table.edge_of_half_edge[a[order]], return_index=True)[1]]
+        firsts.append(a[best])
+        seconds.append(b[best])
+        free = free[~np.isin(free, np.concatenate([a[best], b[best]]))]
+    return np.concatenate(firsts), np.concatenate(seconds)
+
+
+def _away_from_edge(surface: Surface) -> NDArray[np.float64]:
+    """(3m, 3) unit vector within the face, square to each half-edge; zero where the face has no area."""
+    inside, _, _ = topology.boxed(surface.vertices)
+    tail = inside[surface.faces.T.ravel()]
+    along = inside[np.roll(surface.faces, -1, axis=1).T.ravel()] - tail
+    across = inside[np.roll(surface.faces, -2, axis=1).T.ravel()] - tail
+    length = np.maximum((along * along).sum(axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    across = across - along * (across * along).sum(axis=1, keepdims=True) / length
+    norm = np.linalg.norm(across, axis=1, keepdims=True)
+    return np.divide(across, norm, out=np.zeros_like(across), where=norm > 0)
+
+
+def _pairs_on_same_edge(half_edges: IntArray, edge: IntArray) -> tuple[IntArray, IntArray]:
+    """All pairs of half-edges, given sorted by edge, that lie on one edge."""
+    firsts, seconds = [half_edges[:0]], [half_edges[:0]]
+    for step in range(1, _MOST_AROUND):
+        a, b = half_edges[:-step], half_edges[step:]
+        together = edge[a] == edge[b]
+        firsts.append(a[together])
+        seconds.append(b[together])
+    return np.concatenate(firsts), np.concatenate(seconds)
 
 
 def _orientable(
