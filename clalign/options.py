@@ -129,6 +129,8 @@ class AlignmentOptions:
     distances : "factors" (low rank) or "dense" (small meshes only).
     samples : vertices of the source on which the losses are evaluated (0: all).
     rounds, iterations : at most so many rounds, each of at most so many L-BFGS evaluations.
+    decay : λ is multiplied by this after every round.
+    tolerance : a round ends when a step lowers the objective by less, relatively.
     """
 
     weight: float = 200.0
@@ -144,13 +146,13 @@ class AlignmentOptions:
     samples: int = 2000
     rounds: int = 5
     iterations: int = 30
+    decay: float = 0.5
+    tolerance: float = 1e-5
 
     def __post_init__(self) -> None:
         _check_choices("alignment", self)
-        _positive("alignment", self, "band_slope")
-        _not_negative(
-            "alignment", self, "weight", "band_offset", "unitarity", "samples", "rounds", "iterations"
-        )
+        _positive("alignment", self, "band_slope", "decay", "tolerance")
+        _not_negative("alignment", self, "weight", "band_offset", "unitarity", "samples", "rounds", "iterations")
 
 
 @dataclass(frozen=True)

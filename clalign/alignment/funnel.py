@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.backend import Band
-from ..options import AlignmentOptions
+from clalign.engine.backend import Band
+from clalign.options import AlignmentOptions
 
 
 def funnel_widths(count: int, slope: float, offset: int) -> NDArray[np.int64]:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.backend import Backend
-from ..geometry.spectra import Spectrum
+from clalign.engine.backend import Backend
+from clalign.geometry.spectra import Spectrum
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.backend import Backend, Band
-from ..options import AlignmentOptions
+from clalign.engine.backend import Backend, Band
+from clalign.options import AlignmentOptions
+
 from .views import AlignedSide, SampledFactors
 
 RIDGE = 1e-6

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.shape import Shape
-from ..options import AlignmentOptions
+from clalign.geometry.shape import Shape
+from clalign.options import AlignmentOptions
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...engine.backend import Backend
+from clalign.engine.backend import Backend
+
 from .sampled import SampledShape
 
 

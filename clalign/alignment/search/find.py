@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...engine.backend import Backend
-from ...geometry.shape import Shape
-from ...options import SearchOptions
+from clalign.engine.backend import Backend
+from clalign.geometry.shape import Shape
+from clalign.options import SearchOptions
+
 from .batch import Batch, Level, SamplePair, distortions, up_sample
 from .choice import Ranking, ranked
 from .closure import composed, self_maps, unfolded_again, widened

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry.shape import Shape
+from clalign.geometry.shape import Shape
 
 TENSOR_SIZE = 30
 
