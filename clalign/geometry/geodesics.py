@@ -40,7 +40,9 @@ class Geodesics:
     def sample_weights(self, count: int) -> NDArray[np.float64]:
         """Return the area shares of the first `count` samples, those of later samples given to the nearest of them."""
         nearest = self.distances[:count].argmin(axis=0)
-        return np.bincount(nearest, weights=self.weights, minlength=count)
+        shares = np.zeros(count, dtype=np.float64)
+        np.add.at(shares, nearest, self.weights)
+        return shares
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,8 @@ class HeatMethod:
 
     def row(self, vertex: int) -> NDArray[np.float64]:
         """Return the (n,) distances from one vertex; zero there and nowhere negative."""
-        distances = np.maximum(np.asarray(self._solver.compute_distance(int(vertex)), dtype=np.float64), 0.0)
+        distances: NDArray[np.float64] = np.asarray(self._solver.compute_distance(int(vertex)), dtype=np.float64)
+        np.maximum(distances, 0.0, out=distances)
         distances[vertex] = 0.0
         if not np.isfinite(distances).all():
             raise MeshError(f"{self._name}: distances from vertex {vertex} are not finite; look for degenerate faces")

@@ -12,6 +12,7 @@ a disagreement with its neighbour. One more count above the last wanted pair clo
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import logging
 from collections.abc import Callable
@@ -234,10 +235,9 @@ class _Basis:
 
 def _normalised(block: Array) -> tuple[Array, Array]:
     """Return Q and R with ``block.T = Q.T @ R``, Q having orthonormal rows."""
-    try:
+    lower: Array = np.zeros((len(block), len(block)), dtype=np.float64)
+    with contextlib.suppress(np.linalg.LinAlgError):
         lower = np.linalg.cholesky(block @ block.T)
-    except np.linalg.LinAlgError:
-        lower = np.zeros((len(block), len(block)))
     if lower.diagonal().min() > 1e-6 * lower.diagonal().max():
         return scipy.linalg.solve_triangular(lower, block, lower=True, check_finite=False), lower.T
     q, r = scipy.linalg.qr(block.T, mode="economic", check_finite=False)

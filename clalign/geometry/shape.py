@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from clalign.options import Options
+from clalign.options import GeodesicOptions, Options, SpectrumOptions
 
-from . import operators
+from .cache import ShapeCache, content_key
 from .geodesics import DistanceFactors, Geodesics, farthest_point_geodesics, low_rank
 from .mesh import Mesh
+from .operators import (
+    conformal_factor,
+    gaussian_curvature,
+    lumped_mass,
+    mean_curvature,
+    orientation_tensor,
+    stiffness,
+)
 from .spectra import Spectrum, solve
+from .workers import processor_count, single_threaded_blas
 
 logger = logging.getLogger(__name__)
 
@@ -58,29 +72,136 @@ class Shape:
     curvatures: NDArray[np.float64]
 
 
-def prepare(mesh: Mesh, options: Options, cache: object | None = None) -> Shape:
-    """Compute everything that matching needs to know about one mesh."""
-    vertices, faces = mesh.vertices, mesh.faces
-    weights = operators.stiffness(vertices, faces)
-    mass = operators.lumped_mass(vertices, faces)
-    curvature = operators.gaussian_curvature(vertices, faces, mass)
-    basis = solve(weights, mass, max(options.spectrum.basis, options.spectrum.refinement), options.spectrum.solver)
-    factor = operators.conformal_factor(curvature, mass, options.spectrum, basis)
-    descriptors = solve(weights, mass * factor, options.spectrum.descriptors, options.spectrum.solver)
-    geodesics = farthest_point_geodesics(mesh, options.geodesics.search_samples, options.geodesics.factor_samples)
-    mean = operators.mean_curvature(vertices, faces, mass, weights)
+@dataclass(frozen=True)
+class _Operators:
+    """The quick part: what the spectra are computed from."""
+
+    stiffness: sparse.csr_matrix
+    mass: NDArray[np.float64]
+    curvature: NDArray[np.float64]
+
+
+def prepare(mesh: Mesh, options: Options, cache: ShapeCache | None = None) -> Shape:
+    """Compute everything that matching needs to know about one mesh.
+
+    Parameters
+    ----------
+    mesh : a connected surface of unit area.
+    options : the groups `spectrum` and `geodesics` are read.
+    cache : where spectra and distances are looked up first and stored after; None computes them.
+
+    Raises
+    ------
+    ConvergenceError
+        An eigenpair is not accurate.
+    MeshError
+        Geodesic distances cannot be computed.
+    """
+    return prepare_all([mesh], options, cache)[0]
+
+
+def prepare_pair(source: Mesh, target: Mesh, options: Options, cache: ShapeCache | None = None) -> tuple[Shape, Shape]:
+    """Prepare two meshes side by side; see `prepare`."""
+    first, second = prepare_all([source, target], options, cache)
+    return first, second
+
+
+def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | None = None) -> list[Shape]:
+    """Prepare several meshes, distances in one thread beside spectra in others.
+
+    The heat method holds the interpreter lock, so a second thread for it would gain nothing; solves and matrix products
+    of the spectra do not. Results do not depend on what else is prepared at the same time.
+    """
+    with single_threaded_blas(), ThreadPoolExecutor(1) as pool:
+        distances = [pool.submit(_distances, mesh, options.geodesics, cache) for mesh in meshes]
+        spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
+        return [
+            _shape(mesh, *spectra, geodesics.result())
+            for mesh, spectra, geodesics in zip(meshes, spectral, distances, strict=True)
+        ]
+
+
+def with_descriptors(shape: Shape, options: SpectrumOptions, cache: ShapeCache | None = None) -> Shape:
+    """Return a shape whose scale-invariant eigenfunctions are those of other options, all else kept."""
+    operators = _Operators(shape.stiffness, shape.mass, shape.curvature)
+    with single_threaded_blas():
+        return dataclasses.replace(shape, descriptors=_descriptors(shape.mesh, operators, shape.basis, options, cache))
+
+
+def _spectra(mesh: Mesh, options: SpectrumOptions, cache: ShapeCache | None) -> tuple[_Operators, Spectrum, Spectrum]:
+    mass = lumped_mass(mesh.vertices, mesh.faces)
+    operators = _Operators(
+        stiffness(mesh.vertices, mesh.faces), mass, gaussian_curvature(mesh.vertices, mesh.faces, mass)
+    )
+    count = max(options.basis, options.refinement)
+    arrays = _stored(
+        cache,
+        content_key("basis", _surface(mesh), {"count": count, "solver": options.solver}),
+        lambda: _arrays(solve(operators.stiffness, mass, count, options.solver, processor_count())),
+    )
+    basis = Spectrum(**arrays)
+    return operators, basis, _descriptors(mesh, operators, basis, options, cache)
+
+
+def _descriptors(
+    mesh: Mesh, operators: _Operators, basis: Spectrum, options: SpectrumOptions, cache: ShapeCache | None
+) -> Spectrum:
+    def compute() -> dict[str, NDArray[Any]]:
+        factor = conformal_factor(operators.curvature, operators.mass, options, basis)
+        mass = operators.mass * factor
+        return _arrays(solve(operators.stiffness, mass, options.descriptors, options.solver, processor_count()))
+
+    names = ("descriptors", "metric", "xi", "clamp", "epsilon", "solver")
+    values = {name: getattr(options, name) for name in names} | {"basis": basis.count}
+    return Spectrum(**_stored(cache, content_key("descriptors", _surface(mesh), values), compute))
+
+
+def _distances(mesh: Mesh, options: GeodesicOptions, cache: ShapeCache | None) -> Geodesics:
+    values = {"search": options.search_samples, "factor": options.factor_samples}
+    arrays = _stored(
+        cache,
+        content_key("geodesics", _surface(mesh), values),
+        lambda: _arrays(farthest_point_geodesics(mesh, options.search_samples, options.factor_samples)),
+    )
+    return Geodesics(**arrays)
+
+
+def _stored(
+    cache: ShapeCache | None, key: str, compute: Callable[[], dict[str, NDArray[Any]]]
+) -> dict[str, NDArray[Any]]:
+    found = None if cache is None else cache.get(key)
+    if found is not None:
+        return found
+    started = time.perf_counter()
+    arrays = compute()
+    logger.info("%s computed in %.2f s", key.partition("-")[0], time.perf_counter() - started)
+    if cache is not None:
+        cache.put(key, arrays)
+    return arrays
+
+
+def _surface(mesh: Mesh) -> dict[str, NDArray[Any]]:
+    return {"vertices": mesh.vertices, "faces": mesh.faces}
+
+
+def _arrays(value: Spectrum | Geodesics) -> dict[str, NDArray[Any]]:
+    return {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
+
+
+def _shape(mesh: Mesh, operators: _Operators, basis: Spectrum, descriptors: Spectrum, geodesics: Geodesics) -> Shape:
+    mean = mean_curvature(mesh.vertices, mesh.faces, operators.mass, operators.stiffness)
     return Shape(
         mesh=mesh,
-        stiffness=weights,
-        mass=mass,
-        curvature=curvature,
+        stiffness=operators.stiffness,
+        mass=operators.mass,
+        curvature=operators.curvature,
         basis=basis,
         descriptors=descriptors,
         geodesics=geodesics,
-        factors=low_rank(geodesics, mass),
-        orientation=operators.orientation_tensor(faces, basis.functions[:, :ORIENTATION_FUNCTIONS]),
+        factors=low_rank(geodesics, operators.mass),
+        orientation=orientation_tensor(mesh.faces, basis.functions[:, :ORIENTATION_FUNCTIONS]),
         signatures=heat_signatures(basis, SIGNATURE_TIMES),
-        curvatures=smoothed_curvatures(basis, mean, curvature),
+        curvatures=smoothed_curvatures(basis, mean, operators.curvature),
     )
 
 

@@ -1,0 +1,176 @@
+"""Arrays stored on disk under a key made from what they were computed from.
+
+An entry is one ``.npz`` file named after its key. It is written under another name and then renamed, so that a reader,
+in this process or another, sees it whole or not at all. An entry that cannot be read is dropped and computed again; a
+folder that cannot be written to costs the time of computing, never the result.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import logging
+import os
+import tempfile
+import time
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+logger = logging.getLogger(__name__)
+
+#: Part of every key; raised whenever the same input leads to other arrays than before.
+FORMAT = 1
+DEFAULT_LIMIT = 2 * 1024**3
+#: A temporary file of this age, in seconds, was left behind by a process that was killed.
+ABANDONED_AFTER = 3600.0
+
+_READ_ERRORS = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+
+
+@dataclass(frozen=True)
+class CacheInfo:
+    """What a cache holds: its folder, the number of entries, their bytes and the limit."""
+
+    folder: Path
+    entries: int
+    size: int
+    limit: int
+
+
+def content_key(kind: str, arrays: Mapping[str, NDArray[Any]], values: Mapping[str, Any]) -> str:
+    """Return a key for what is computed from some arrays and option values.
+
+    Two inputs have the same key when kind, values and the exact bytes, shapes and types of the arrays agree.
+
+    Parameters
+    ----------
+    kind : what is computed; the key starts with it.
+    arrays : by name.
+    values : anything that JSON can write.
+    """
+    digest = hashlib.sha256(json.dumps([FORMAT, kind, values], sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(array.data)
+    return f"{kind}-{digest.hexdigest()[:40]}"
+
+
+def default_folder() -> Path:
+    """Return the folder named by the environment variable ``CLALIGN_CACHE``, or the user's cache folder."""
+    named = os.environ.get("CLALIGN_CACHE", "")
+    if named:
+        return Path(named).expanduser()
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("clalign"))
+
+
+class ShapeCache:
+    """A folder of arrays by key, of limited size; entries that were not used for longest go first.
+
+    Parameters
+    ----------
+    folder : where the entries are; None for `default_folder`. It is made when the first entry is stored.
+    limit_bytes : total size above which entries are removed. An entry larger than that is not stored.
+    """
+
+    def __init__(self, folder: str | Path | None = None, limit_bytes: int = DEFAULT_LIMIT) -> None:
+        self.folder = default_folder() if folder is None else Path(folder)
+        self.limit_bytes = limit_bytes
+
+    def get(self, key: str) -> dict[str, NDArray[Any]] | None:
+        """Return the arrays stored under a key, or None.
+
+        A file that is damaged is removed with a warning, so that the next `put` replaces it.
+        """
+        path = self._path(key)
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+            os.utime(path)
+        except FileNotFoundError:
+            return None
+        except _READ_ERRORS as error:
+            logger.warning("cache entry %s cannot be read (%s); it is computed again", path, error)
+            self.discard(key)
+            return None
+        return arrays
+
+    def put(self, key: str, arrays: Mapping[str, NDArray[Any]]) -> bool:
+        """Store arrays under a key; return whether that worked. A full or read-only disk is logged, not raised."""
+        contents: dict[str, Any] = dict(arrays)
+        size = sum(array.nbytes for array in arrays.values())
+        if size > self.limit_bytes:
+            logger.info("cache entry %s of %d bytes exceeds the limit of %d; not stored", key, size, self.limit_bytes)
+            return False
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with self._replacing(self._path(key)) as stream:
+                np.savez(stream, **contents)
+            self._shrink()
+        except OSError as error:
+            logger.warning("the cache in %s cannot be written (%s); going on without it", self.folder, error)
+            return False
+        return True
+
+    def discard(self, key: str) -> None:
+        """Remove an entry, if it exists and can be removed."""
+        with contextlib.suppress(OSError):
+            self._path(key).unlink()
+
+    def clear(self) -> int:
+        """Remove all entries and return how many there were."""
+        entries = [path for path, _ in self._entries()]
+        for path in entries:
+            path.unlink(missing_ok=True)
+        return len(entries)
+
+    def info(self) -> CacheInfo:
+        """Return what the cache holds at the moment."""
+        sizes = [status.st_size for _, status in self._entries()]
+        return CacheInfo(folder=self.folder, entries=len(sizes), size=sum(sizes), limit=self.limit_bytes)
+
+    def _path(self, key: str) -> Path:
+        return self.folder / f"{key}.npz"
+
+    def _entries(self, suffix: str = ".npz") -> list[tuple[Path, os.stat_result]]:
+        found = []
+        for path in self.folder.glob(f"*{suffix}"):
+            # Another process may remove a file between the listing and the question about its size.
+            with contextlib.suppress(OSError):
+                found.append((path, path.stat()))
+        return found
+
+    @contextlib.contextmanager
+    def _replacing(self, path: Path) -> Iterator[Any]:
+        """Open a temporary file that takes the place of `path` when the block ends well."""
+        descriptor, name = tempfile.mkstemp(dir=self.folder, prefix=path.stem, suffix=".part")
+        try:
+            with os.fdopen(descriptor, "wb") as stream:
+                yield stream
+            os.replace(name, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(name)
+            raise
+
+    def _shrink(self) -> None:
+        """Remove the entries used longest ago until the limit holds, and files that were left unfinished."""
+        entries = sorted(self._entries(), key=lambda entry: (entry[1].st_mtime_ns, entry[0].name))
+        total = sum(status.st_size for _, status in entries)
+        for path, status in entries:
+            if total <= self.limit_bytes:
+                break
+            path.unlink(missing_ok=True)
+            total -= status.st_size
+        for path, status in self._entries(".part"):
+            if time.time() - status.st_mtime > ABANDONED_AFTER:
+                path.unlink(missing_ok=True)
