@@ -300,9 +300,9 @@ def broken_files() -> list[tuple[str, bytes, str]]:
         ("prose.off", b"Dear reader,\nthis is a letter.\n", "does not begin with OFF"),
         ("prose.obj", b"Dear reader,\nthis is a letter.\n", "neither vertices"),
         ("prose.ply", b"Dear reader,\nthis is a letter.\n", "no PLY header"),
-        ("prose.stl", b"Dear reader,\nthis is a letter.\n", "damaged|no facets"),
+        ("prose.stl", b"Dear reader,\nthis is a letter.\n", "neither a whole text STL"),
         ("noise.off", bytes(range(256)) * 4, "does not begin with OFF"),
-        ("noise.stl", bytes(range(256)) * 4, "damaged|no facets"),
+        ("noise.stl", bytes(range(256)) * 4, "neither a whole text STL"),
         (
             "truncated.off",
             b"".join(off[: len(off) // 2]),
@@ -312,7 +312,7 @@ def broken_files() -> list[tuple[str, bytes, str]]:
         ("truncated.obj", content["obj"][:2000], "vertex|no faces"),
         ("truncated.ply", content["ply"][: len(content["ply"]) // 2], "damaged|promises"),
         ("truncated-binary.ply", content["binary ply"][:3000], "damaged|promises"),
-        ("truncated.stl", content["stl"][:5000], "damaged|no facets"),
+        ("truncated.stl", content["stl"][:5000], "neither a whole text STL"),
         ("header-only.ply", content["ply"].split(b"end_header")[0], "no PLY header"),
         ("wrong-counts.off", content["off"].replace(b"162 320", b"163 320"), "promises 163 vertices"),
         (

@@ -293,7 +293,13 @@ def _check_manifold(surface: Surface) -> Checked:
         faces = np.unique(np.flatnonzero(crowded[table.edge_of_half_edge]) % len(surface.faces))
         found.append(
             _defect(
-                surface, "non-manifold-edge", len(ends), problem, vertices=ends.ravel(), faces=faces, advice="{repair}"
+                surface,
+                "non-manifold-edge",
+                len(ends),
+                problem,
+                vertices=np.unique(ends),
+                faces=faces,
+                advice="{repair}",
             )
         )
     fans = topology.fan_counts(surface.faces, table, len(surface.vertices))

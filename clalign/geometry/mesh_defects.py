@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -45,8 +46,9 @@ class Defect:
     def sentence(self) -> str:
         """Problem, place and action in one sentence."""
         places = [
-            f"{name} {', '.join(map(str, numbers))}{', …' if SHOWN <= len(numbers) < self.count else ''}"
-            for name, numbers in (("vertex", self.vertices), ("face", self.faces))
+            f"{one if len(numbers) == 1 else many} {', '.join(map(str, numbers))}"
+            + (", …" if len(numbers) == SHOWN != self.count else "")
+            for one, many, numbers in (("vertex", "vertices", self.vertices), ("face", "faces", self.faces))
             if numbers
         ]
         where = f" ({'; '.join(places)})" if places else ""
@@ -56,7 +58,7 @@ class Defect:
         """Advice for the user of the file `path`, or of two arrays."""
         copy = "`clalign.geometry.mesh_repair.repair(vertices, faces)` returns a repaired copy"
         if path is not None:
-            copy = f"`clalign check {path} --repair OUT` writes a repaired copy"
+            copy = f"`clalign check {shlex.quote(path)} --repair OUT` writes a repaired copy"
         return self.advice.replace("{repair}", copy)
 
 

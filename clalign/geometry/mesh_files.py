@@ -170,9 +170,11 @@ def _read_ply(content: bytes) -> FileMesh:
         n_lines = sum(1 for line in body.splitlines() if line.strip())
         if n_lines != sum(counts.values()):
             raise _FormatError(f"{promise}, but {n_lines} lines follow; the file is truncated or its counts are wrong")
+    # Comments may be in any encoding, which trimesh does not expect.
+    plain_header = (header + header_end[0]).decode("ascii", errors="replace").encode("ascii", errors="replace")
     from trimesh.exchange.ply import load_ply
 
-    loaded = _quietly(load_ply, content, fix_texture=False, skip_materials=True)
+    loaded = _quietly(load_ply, plain_header + body, fix_texture=False, skip_materials=True)
     vertices = _loaded_vertices(loaded)
     faces = _loaded_faces(loaded)
     if len(vertices) != n_vertices or len(faces) < n_faces:
@@ -187,6 +189,15 @@ def _read_stl(content: bytes) -> FileMesh:
     """STL, text or binary, through trimesh; corners at the same position become one vertex."""
     from trimesh.exchange.stl import load_stl
 
+    n_facets = int.from_bytes(content[80:84], "little")
+    if len(content) != 84 + 50 * n_facets:
+        # Text may come in any encoding; only the name of the solid can contain more than ASCII.
+        content = content.decode("ascii", errors="replace").encode("ascii", errors="replace")
+        if not (content.lstrip().lower().startswith(b"solid") and b"facet" in content and b"endsolid" in content):
+            raise _FormatError(
+                f"is neither a whole text STL (solid ... endsolid) nor a binary one ({n_facets} facets would need "
+                f"{84 + 50 * n_facets} bytes, the file has {len(content)}); it is truncated, or is the suffix wrong?"
+            )
     loaded = _quietly(load_stl, content)
     corners = _loaded_vertices(loaded)
     faces = _loaded_faces(loaded)

@@ -67,7 +67,7 @@ def test_dropped_vertices_keep_the_numbers_of_the_others() -> None:
     assert (mesh.n_vertices, mesh.file_count) == (n, 2 * n)
     np.testing.assert_array_equal(mesh.file_index, place)
     assert mesh.notes == (
-        f"{n} vertices are in no face (vertex 0, 2, 4, 6, 8, …): left out, without a match (-1 in the maps)",
+        f"{n} vertices are in no face (vertices 0, 2, 4, 6, 8, …): left out, without a match (-1 in the maps)",
     )
 
 

@@ -156,13 +156,15 @@ def test_repair_survives_random_damage(rng: np.random.Generator) -> None:
 
 def test_the_message_names_the_file_the_place_and_the_way_out(tmp_path: Path) -> None:
     fin = next(case for case in CASES if case.name == "fin")
-    path = shapes.write_off(tmp_path / "fin.off", fin.vertices, fin.faces)
+    path = shapes.write_off(tmp_path / "my fin.off", fin.vertices, fin.faces)
     with pytest.raises(MeshError) as error:
         load_mesh(path)
     a, b, _ = fin.faces[-1]
     message = str(error.value)
-    assert message.startswith(f"{path}: 1 edge belongs to more than two faces (vertex {min(a, b)}, {max(a, b)}; face ")
-    assert message.endswith(f"Way out: `clalign check {path} --repair OUT` writes a repaired copy.")
+    assert message.startswith(
+        f"{path}: 1 edge belongs to more than two faces (vertices {min(a, b)}, {max(a, b)}; faces "
+    )
+    assert message.endswith(f"Way out: `clalign check '{path}' --repair OUT` writes a repaired copy.")
 
 
 def test_arrays_of_other_shapes_and_types_are_refused() -> None:

@@ -79,13 +79,13 @@ def test_textured_obj_keeps_its_numbering(tmp_path: Path) -> None:
 
 def test_textured_ply_keeps_its_numbering(tmp_path: Path) -> None:
     vertices, faces = doubled_and_unused()
-    header = ["ply", "format ascii 1.0", "comment TextureFile skin.png", f"element vertex {len(vertices)}"]
+    header = ["ply", "format ascii 1.0", "comment TextureFile häut.png", f"element vertex {len(vertices)}"]
     header += [f"property float {name}" for name in "xyz"] + [f"element face {len(faces)}"]
     header += ["property list uchar int vertex_indices", "property list uchar float texcoord", "end_header"]
     rows = [f"{x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
     rows += [f"3 {a} {b} {c} 6 0 0 {i % 7} 0 1 {i % 5}" for i, (a, b, c) in enumerate(faces.tolist())]
     path = tmp_path / "textured.ply"
-    path.write_text("\n".join(header + rows) + "\n")
+    path.write_text("\n".join(header + rows) + "\n", encoding="latin-1")
     raw = read_mesh_file(path)
     np.testing.assert_allclose(raw.vertices, vertices, rtol=1e-6)
     np.testing.assert_array_equal(raw.faces, faces)
@@ -102,6 +102,8 @@ def test_stl_is_numbered_by_first_appearance(tmp_path: Path) -> None:
     order = flat[np.sort(np.unique(flat, return_index=True)[1])]
     np.testing.assert_allclose(mesh.file_vertices(), vertices[order], atol=1e-6)
     trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "text.stl", file_type="stl_ascii")
+    text = (tmp_path / "text.stl").read_bytes()
+    (tmp_path / "text.stl").write_bytes(text.replace(b"solid", "solid Gerät".encode("latin-1"), 1))
     np.testing.assert_allclose(load_mesh(tmp_path / "text.stl").file_vertices(), vertices[order], atol=1e-6)
 
 
@@ -114,7 +116,7 @@ def test_obj_counts_backward_and_splits_polygons(tmp_path: Path) -> None:
     expected = [[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2], [0, 1, 2], [2, 3, 4], [2, 4, 5], [2, 5, 0]]
     assert read_mesh_file(path).faces.tolist() == expected
     path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nf 0 1 2\nf 1 2 -4\n")
-    with pytest.raises(MeshError, match=r"2 faces name vertices outside 0 to 2, such as -1 \(face 0, 1\)"):
+    with pytest.raises(MeshError, match=r"2 faces name vertices outside 0 to 2, such as -1 \(faces 0, 1\)"):
         load_mesh(path)
 
 
