@@ -61,16 +61,16 @@ class AlignMethod:
     @property
     def settings(self) -> str:
         """Version of the package and a digest of the options."""
-        from clalign import __version__
+        import clalign
 
-        return f"{__version__}-{digest(self.options.as_dict())}"
+        return f"{clalign.__version__}-{digest(self.options.as_dict())}"
 
     def __call__(self, source: Mesh, target: Mesh) -> Outcome:
         """Match one pair."""
-        from clalign.matching import match
+        import clalign
 
         start = time.perf_counter()
-        result = match(source, target, self.options)
+        result = clalign.match(source, target, self.options)
         seconds = time.perf_counter() - start
         barycentric = None
         if result.source_faces is not None and result.source_barycentric is not None:

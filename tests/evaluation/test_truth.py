@@ -60,7 +60,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 def test_an_index_file_of_the_wrong_length(tmp_path: Path) -> None:
     path = datasets.write_numbers(tmp_path / "map.txt", [0, 1, 2])
-    with pytest.raises(ResultError, match="3 lines.*4 vertices"):
+    with pytest.raises(ResultError, match=r"3 lines.*4 vertices"):
         read_index_truth(path, source_count=4, target_count=4)
 
 
