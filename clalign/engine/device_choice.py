@@ -1,0 +1,144 @@
+"""Which OpenCL device to use: facts about every device, and a choice that never asks on the terminal.
+
+The choice is a function of facts and text, so that it is tested without the devices. A specification is
+
+- empty: the first GPU, else the first CPU, else the first device of any kind;
+- ``cpu``, ``gpu`` or ``accelerator``: the first device of that kind;
+- ``0:1``: platform 0, device 1, as ``clalign doctor`` numbers them; ``1``: the first device of platform 1;
+- anything else: part of a device's or its platform's name, upper or lower case.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from clalign.errors import DeviceError
+
+DEVICE_VARIABLE = "CLALIGN_DEVICE"
+KINDS = ("gpu", "cpu", "accelerator")
+INSTALL_HINT = 'pip install "clalign[pocl]"'
+
+
+@dataclass(frozen=True)
+class DeviceFacts:
+    """What a device says about itself. Sizes in bytes.
+
+    platform, device : numbers in the order of the OpenCL loader.
+    kind : "gpu", "cpu", "accelerator" or "other".
+    units : compute units.
+    largest_buffer : size of the largest single buffer.
+    double : whether it has double precision.
+    """
+
+    platform: int
+    device: int
+    name: str
+    platform_name: str
+    version: str
+    driver: str
+    kind: str
+    units: int
+    memory: int
+    largest_buffer: int
+    local_memory: int
+    double: bool
+
+    @property
+    def label(self) -> str:
+        """One line for lists and messages."""
+        return f"{self.platform}:{self.device} {self.name} ({self.kind}, {self.platform_name})"
+
+
+def device_kind(cl: Any, device: Any) -> str:
+    """Translate the type bits of a pyopencl device."""
+    for name in ("GPU", "CPU", "ACCELERATOR"):
+        if device.type & getattr(cl.device_type, name):
+            return name.lower()
+    return "other"
+
+
+def list_devices() -> tuple[DeviceFacts, ...]:
+    """Ask the OpenCL loader for every device.
+
+    Raises
+    ------
+    DeviceError
+        There is no loader, or no driver is registered with it.
+    """
+    try:
+        import pyopencl as cl
+    except ImportError as error:
+        raise DeviceError(f"OpenCL cannot be loaded ({error}). Install a driver: {INSTALL_HINT}") from error
+    facts = []
+    try:
+        for number, platform in enumerate(cl.get_platforms()):
+            for index, device in enumerate(_devices_of(cl, platform)):
+                facts.append(_facts(cl, number, index, platform, device))
+    except cl.Error as error:
+        raise DeviceError(f"no OpenCL driver is installed ({error}). For a CPU driver: {INSTALL_HINT}") from error
+    if not facts:
+        raise DeviceError(f"OpenCL has a loader but no device. For a CPU driver: {INSTALL_HINT}")
+    return tuple(facts)
+
+
+def _devices_of(cl: Any, platform: Any) -> list[Any]:
+    try:
+        return list(platform.get_devices())
+    except cl.Error:
+        # A platform without devices (a driver whose hardware is absent) must not hide the other platforms.
+        return []
+
+
+def _facts(cl: Any, number: int, index: int, platform: Any, device: Any) -> DeviceFacts:
+    return DeviceFacts(
+        platform=number,
+        device=index,
+        name=device.name.strip(),
+        platform_name=platform.name.strip(),
+        version=device.version.strip(),
+        driver=device.driver_version.strip(),
+        kind=device_kind(cl, device),
+        units=int(device.max_compute_units),
+        memory=int(device.global_mem_size),
+        largest_buffer=int(device.max_mem_alloc_size),
+        local_memory=int(device.local_mem_size),
+        double=bool(device.double_fp_config),
+    )
+
+
+def wanted_device(option: str, environment: Mapping[str, str] | None = None) -> str:
+    """Return the specification in force: the option, else ``CLALIGN_DEVICE``, else empty."""
+    variables = os.environ if environment is None else environment
+    return option.strip() or variables.get(DEVICE_VARIABLE, "").strip()
+
+
+def choose_device(specification: str, facts: Sequence[DeviceFacts]) -> DeviceFacts:
+    """Return the device that a specification names (see the module's head).
+
+    Raises
+    ------
+    DeviceError
+        No such device; the message lists what there is.
+    """
+    if not facts:
+        raise DeviceError(f"there is no OpenCL device. For a CPU driver: {INSTALL_HINT}")
+    wanted = specification.strip().lower()
+    if not wanted:
+        ranked = sorted(facts, key=lambda f: KINDS.index(f.kind) if f.kind in KINDS else len(KINDS))
+        return ranked[0]
+    numbers = re.fullmatch(r"(\d+)(?::(\d+))?", wanted)
+    if numbers:
+        pair = (int(numbers[1]), int(numbers[2] or 0))
+        found = [f for f in facts if (f.platform, f.device) == pair]
+    elif wanted in KINDS:
+        found = [f for f in facts if f.kind == wanted]
+    else:
+        found = [f for f in facts if wanted in f.name.lower() or wanted in f.platform_name.lower()]
+    if not found:
+        listing = "; ".join(f.label for f in facts)
+        raise DeviceError(f"no OpenCL device matches {specification!r}; there are: {listing}")
+    return found[0]

@@ -1,0 +1,100 @@
+"""The two terms of the objective on the device, put together from products and sums."""
+
+from __future__ import annotations
+
+from .device import DeviceArray
+from .kernels_arrays import require_shapes
+from .kernels_products import KernelProducts
+
+
+class KernelLosses(KernelProducts):
+    """`backend.Losses` on a device; see there for the formulas."""
+
+    def distortion(
+        self,
+        z: DeviceArray,
+        core_y: DeviceArray,
+        left_x: DeviceArray,
+        core_x: DeviceArray,
+        w: DeviceArray,
+        *,
+        out: tuple[DeviceArray, DeviceArray] | None = None,
+    ) -> tuple[DeviceArray, DeviceArray]:
+        """Low-rank l_unsup and dl/dZ = −4Ω[U (T_X B − B T_Y G_Z) − Z⊥ T_Y G_Z] T_Y with G_Z = BᵀB + G."""
+        (n, r_y), r_x = z.shape, left_x.shape[1]
+        require_shapes("distortion", left_x=(left_x.shape[:1], (n,)), w=(w.shape, (n,)))
+        require_shapes("distortion", core_y=(core_y.shape, (r_y, r_y)), core_x=(core_x.shape, (r_x, r_x)))
+        value = self._result("distortion", (), out and out[0])
+        slope = self._result("distortion", (n, r_y), out and out[1])
+
+        inside = self._work("inside", r_x, r_y)
+        outside = self._work("outside", n, r_y)
+        gram = self._work("gram", r_y, r_y)
+        self.weighted_gram(left_x, z, w, out=inside)
+        self.device.copy(z, outside)
+        self.product(left_x, inside, scale=-1.0, accumulate=True, out=outside)
+        self.weighted_gram(outside, outside, w, out=gram)
+
+        mapped = self.product(inside, core_y, out=self._work("mapped", r_x, r_y))
+        residual = self._work("residual", r_x, r_x)
+        self.device.copy(core_x, residual)
+        self.product(mapped, inside, transpose_b=True, scale=-1.0, accumulate=True, out=residual)
+        core_gram = self.product(core_y, gram, out=self._work("core_gram", r_y, r_y))
+        gram_core = self.product(gram, core_y, out=self._work("gram_core", r_y, r_y))
+        mixed = self.product(mapped, gram_core, out=self._work("mixed", r_x, r_y))
+        self._dot(residual, residual, value)
+        self._dot(mixed, inside, value, scale=2.0, accumulate=True)
+        # gram_core is the transpose of core_gram, since both factors are symmetric.
+        self._dot(core_gram, gram_core, value, accumulate=True)
+
+        self.product(inside, inside, transpose_a=True, accumulate=True, out=gram)
+        core_full = self.product(core_y, gram, out=core_gram)
+        along = self.product(core_x, inside, out=mapped)
+        self.product(inside, core_full, scale=-1.0, accumulate=True, out=along)
+        last = self.product(along, core_y, out=mixed)
+        across = self.product(core_full, core_y, out=gram_core)
+        self.product(left_x, last, scale=-4.0, out=slope)
+        self.product(outside, across, scale=4.0, accumulate=True, out=slope)
+        self.scale_rows(slope, w, out=slope)
+        return value, slope
+
+    def alignment(
+        self,
+        r: DeviceArray,
+        g_x: DeviceArray,
+        g_y: DeviceArray,
+        g_xy: DeviceArray,
+        one_sided: bool = False,
+        *,
+        out: tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray] | None = None,
+    ) -> tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray]:
+        """Eq. 21 (or Eq. 18) with π fixed, from Gram matrices."""
+        square = r.shape
+        require_shapes("alignment", g_x=(g_x.shape, square), g_y=(g_y.shape, square), g_xy=(g_xy.shape, square))
+        numerator = self._result("alignment", (), out and out[0])
+        denominator = self._result("alignment", (), out and out[1])
+        slope = self._result("alignment", square, out and out[2])
+        denominator_slope = self._result("alignment", square, out and out[3])
+        self.product(g_x, r, out=slope)
+        self._dot(r, slope, numerator)
+        if one_sided:
+            self.device.launch(self.device.kernel("reduce", "trace"), 1, square[0], g_y, denominator)
+            self._dot(r, g_xy, numerator, scale=-2.0, accumulate=True)
+            self.add(slope, g_xy, scale_a=2.0, scale_b=-2.0, out=slope)
+            self.add(slope, slope, scale_a=0.0, scale_b=0.0, out=denominator_slope)
+        else:
+            self.product(r, g_y, out=denominator_slope)
+            self._dot(r, denominator_slope, denominator)
+            cross = self.product(g_xy, r, transpose_b=True, out=self._work("cross", *square))
+            self._dot(r, cross, numerator, scale=-2.0, accumulate=True)
+            self.product(r, g_xy, transpose_a=True, accumulate=True, out=cross)
+            self.add(slope, denominator_slope, scale_a=2.0, scale_b=2.0, out=slope)
+            self.add(slope, cross, scale_b=-2.0, out=slope)
+            self.add(denominator_slope, denominator_slope, out=denominator_slope)
+        self.add(numerator, denominator, out=numerator)
+        return numerator, denominator, slope, denominator_slope
+
+    def _work(self, name: str, rows: int, columns: int) -> DeviceArray:
+        """Scratch matrix of its own name."""
+        kept = self.device.scratch(f"loss.{name}", rows * columns)
+        return kept.leading((rows, columns))

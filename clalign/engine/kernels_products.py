@@ -1,0 +1,201 @@
+"""Dense, banded and triangular linear algebra of the OpenCL backend."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .backend import Band
+from .device import DeviceArray
+from .kernels_arrays import ELEMENTS, KernelArrays, ceil_div, require_shapes
+
+TILE = 6
+"""Rows of the register tile of plain products."""
+
+DEPTH_BLOCK = 384
+"""Depth of a block: a panel of it stays in the first cache."""
+
+PACK_ABOVE = 24
+"""Row groups from which packing the right side pays for its extra launch."""
+
+CHOLESKY_ITEMS = 8
+
+
+class KernelProducts(KernelArrays):
+    """`backend.Products` on a device; see there for the formulas."""
+
+    def product(
+        self,
+        a: DeviceArray,
+        b: DeviceArray,
+        *,
+        transpose_a: bool = False,
+        transpose_b: bool = False,
+        scale: float = 1.0,
+        accumulate: bool = False,
+        out: DeviceArray | None = None,
+    ) -> DeviceArray:
+        """scale · op(a) op(b), added to `out` when `accumulate` is set."""
+        m, depth = a.shape[::-1] if transpose_a else a.shape
+        inner, n = b.shape[::-1] if transpose_b else b.shape
+        require_shapes("product", b=((inner,), (depth,)))
+        result = self._result("product", (m, n), out)
+        self._product(
+            a, b, result, m, n, depth, transpose_a, transpose_b, scale=scale, accumulate=accumulate and out is not None
+        )
+        return result
+
+    def band_expand(self, values: DeviceArray, band: Band, *, out: DeviceArray | None = None) -> DeviceArray:
+        """Packed values as a matrix."""
+        require_shapes("band_expand", values=(values.shape, (band.count,)))
+        result = self._result("band_expand", (band.size, band.size), out)
+        lower, offsets = self._band_tables(band)
+        kernel = self.device.kernel("elementwise", "band_expand", EB=ELEMENTS)
+        self.device.launch(kernel, band.size, band.size, lower, offsets, values, result)
+        return result
+
+    def band_gather(self, matrix: DeviceArray, band: Band, *, out: DeviceArray | None = None) -> DeviceArray:
+        """Entries of a matrix inside the band."""
+        require_shapes("band_gather", matrix=(matrix.shape, (band.size, band.size)))
+        result = self._result("band_gather", (band.count,), out)
+        lower, offsets = self._band_tables(band)
+        kernel = self.device.kernel("elementwise", "band_gather", EB=ELEMENTS)
+        self.device.launch(kernel, band.size, band.size, lower, offsets, matrix, result)
+        return result
+
+    def banded_product(
+        self, a: DeviceArray, r: DeviceArray, band: Band, *, transpose_r: bool = False, out: DeviceArray | None = None
+    ) -> DeviceArray:
+        """a R or a Rᵀ, skipping tiles of zeros; R must be zero outside the band."""
+        size = band.size
+        require_shapes("banded_product", r=(r.shape, (size, size)), a=(a.shape[1:], (size,)))
+        result = self._result("banded_product", (a.shape[0], size), out)
+        lanes = self.device.lanes
+        key = ("ranges", band.lower.tobytes(), band.upper.tobytes(), transpose_r, lanes)
+        if key not in self._constants:
+            self._constants[key] = self.array(panel_ranges(band, transpose_r, lanes))
+        ranges = self._constants[key]
+        self._product(a, r, result, a.shape[0], size, size, False, transpose_r, ranges=ranges)
+        return result
+
+    def weighted_gram(
+        self, a: DeviceArray, b: DeviceArray, w: DeviceArray | None = None, *, out: DeviceArray | None = None
+    ) -> DeviceArray:
+        """aᵀ diag(w) b, cut along the rows where the result has too few tiles to keep the device busy."""
+        rows, m = a.shape
+        n = b.shape[1]
+        require_shapes("weighted_gram", b=(b.shape[:1], (rows,)))
+        if w is not None:
+            require_shapes("weighted_gram", w=(w.shape, (rows,)))
+        result = self._result("weighted_gram", (m, n), out)
+        tiles = ceil_div(m, TILE) * ceil_div(n, self.device.lanes)
+        wanted = 8 * self.device.facts.units * self.device.group
+        splits = min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_BLOCK))
+        if splits <= 1:
+            self._product(a, b, result, m, n, rows, True, False, weight=w)
+            return result
+        partial = self.device.scratch("splits", splits * m * n)
+        self._product(a, b, partial, m, n, rows, True, False, weight=w, splits=splits)
+        kernel = self.device.kernel("product", "sum_splits", RT=TILE, KB=DEPTH_BLOCK)
+        self.device.launch(kernel, m * n, m * n, splits, 1.0, 0, partial, result)
+        return result
+
+    def solve_right(
+        self, gram: DeviceArray, rhs: DeviceArray, ridge: float, *, out: DeviceArray | None = None
+    ) -> DeviceArray:
+        """rhs (gram + ridge · trace(gram) / k · I)⁻¹; NaN where gram is not positive definite."""
+        m, k = rhs.shape
+        require_shapes("solve_right", gram=(gram.shape, (k, k)))
+        result = self._result("solve_right", rhs.shape, out)
+        launch, kernel = self.device.launch, self.device.kernel
+        factor = self.device.scratch("cholesky", k * k)
+        factorise = kernel("cholesky", "factorise", CHOLESKY_ITEMS=CHOLESKY_ITEMS)
+        launch(factorise, CHOLESKY_ITEMS, k, ridge, gram, factor, group=CHOLESKY_ITEMS)
+        panels = self._pack_panels("rhs", rhs, m, k, 1, k)
+        solve = kernel("cholesky", "solve_rows", CHOLESKY_ITEMS=CHOLESKY_ITEMS)
+        launch(solve, ceil_div(m, self.device.lanes), m, k, factor, panels, result)
+        return result
+
+    def _product(
+        self,
+        a: DeviceArray,
+        b: DeviceArray,
+        result: DeviceArray,
+        m: int,
+        n: int,
+        depth: int,
+        transpose_a: bool,
+        transpose_b: bool,
+        *,
+        scale: float = 1.0,
+        accumulate: bool = False,
+        weight: DeviceArray | None = None,
+        ranges: DeviceArray | None = None,
+        splits: int = 1,
+    ) -> None:
+        """Queue a product, packing the right side where its columns are not contiguous or are read often."""
+        lanes = self.device.lanes
+        group_count, panel_count = ceil_div(m, TILE), ceil_div(n, lanes)
+        if transpose_b or weight is not None or (group_count > PACK_ABOVE and n > lanes):
+            strides = (1, depth) if transpose_b else (n, 1)
+            b, b_step, b_panel = self._pack_panels("right", b, n, depth, *strides, weight), lanes, depth * lanes
+        else:
+            b_step, b_panel = n, lanes
+        groups, panels = self._macro_tile(group_count, panel_count * splits)
+        a_row, a_step = (1, m) if transpose_a else (depth, 1)
+        kernel = self.device.kernel("product", "product", RT=TILE, KB=DEPTH_BLOCK)
+        size = (ceil_div(group_count, groups), ceil_div(panel_count, panels), splits)
+        split_depth = ceil_div(depth, splits)
+        sizes = (m, n, depth, groups, panels, split_depth)
+        self.device.launch(
+            kernel, size, *sizes, scale, int(accumulate), a, a_row, a_step, b, b_step, b_panel, ranges, result
+        )
+
+    def _macro_tile(self, group_count: int, panel_count: int) -> tuple[int, int]:
+        """Tiles of one work-item: up to 16 x 8 on a CPU as long as every unit has a few items; 1 x 1 on a GPU."""
+        if self.device.group > 1:
+            return 1, 1
+        wanted = 4 * self.device.facts.units
+        panels = min(8, max(1, panel_count // wanted))
+        columns = ceil_div(panel_count, panels)
+        groups = min(16, max(1, group_count * columns // wanted))
+        return groups, panels
+
+    def _pack_panels(
+        self,
+        slot: str,
+        b: DeviceArray,
+        n: int,
+        depth: int,
+        row_stride: int,
+        column_stride: int,
+        weight: DeviceArray | None = None,
+    ) -> DeviceArray:
+        """Queue packing of b (depth, n), given by its strides, into (panels, depth, lanes) scratch."""
+        panels = ceil_div(n, self.device.lanes)
+        packed = self.device.scratch(f"panels.{slot}", panels * depth * self.device.lanes)
+        kernel = self.device.kernel("product", "pack_panels", RT=TILE, KB=DEPTH_BLOCK)
+        self.device.launch(kernel, panels, n, depth, b, row_stride, column_stride, weight, packed)
+        return packed
+
+    def _band_tables(self, band: Band) -> tuple[DeviceArray, DeviceArray]:
+        key = (band.lower.tobytes(), band.upper.tobytes())
+        if ("lower", *key) not in self._constants:
+            self._constants["lower", *key] = self.array(band.lower)
+            self._constants["offsets", *key] = self.array(band.offsets)
+        return self._constants["lower", *key], self._constants["offsets", *key]
+
+
+def panel_ranges(band: Band, transpose: bool, lanes: int) -> NDArray[np.int32]:
+    """First and last + 1 row with anything inside the band, for every panel of columns of R (or of Rᵀ): (panels, 2)."""
+    panels = ceil_div(band.size, lanes)
+    ranges = np.zeros((panels, 2), dtype=np.int32)
+    for panel in range(panels):
+        first, last = panel * lanes, min(band.size, (panel + 1) * lanes) - 1
+        if transpose:
+            ranges[panel] = band.lower[first], band.upper[last]
+        else:
+            # A row reaches columns first..last if its run ends behind `first` and starts at or before `last`.
+            inside = np.flatnonzero((band.upper > first) & (band.lower <= last))
+            ranges[panel] = (inside[0], inside[-1] + 1) if inside.size else (0, 0)
+    return ranges

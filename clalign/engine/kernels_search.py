@@ -1,0 +1,94 @@
+"""Nearest points and scores of candidate maps on the device."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clalign.errors import InputError
+
+from .backend import RELATIVE_DISTANCE_FLOOR, DistortionKind
+from .device import DeviceArray
+from .kernels_arrays import PART, ceil_div, require_shapes
+from .kernels_products import TILE, KernelProducts
+
+ROWS_OF_PART = 64
+"""Rows of a distance matrix that one work-item of the batched distortion sums."""
+
+
+class KernelSearches(KernelProducts):
+    """`backend.Searches` on a device; see there for the formulas."""
+
+    def nearest(
+        self,
+        queries: DeviceArray,
+        points: DeviceArray,
+        penalty: DeviceArray | None = None,
+        *,
+        absolute: bool = False,
+        out: tuple[DeviceArray, DeviceArray] | None = None,
+    ) -> tuple[DeviceArray, DeviceArray]:
+        """Index and score of the point of largest score; ties to the lowest index."""
+        (m, depth), p = queries.shape, points.shape[0]
+        require_shapes("nearest", points=(points.shape[1:], (depth,)))
+        if penalty is not None:
+            require_shapes("nearest", penalty=(penalty.shape, (p,)))
+        index = self._result("nearest", (m,), out and out[0], np.int32)
+        score = self._result("nearest", (m,), out and out[1])
+        lanes = self.device.lanes
+        padded_size = ceil_div(p, lanes) * lanes
+        groups = 8 if self.device.group == 1 else 1
+        defines = {"RT": TILE, "NEAREST_GROUPS": groups, "ABSOLUTE": int(absolute)}
+        padded = self.device.scratch("penalty", padded_size)
+        launch, kernel = self.device.launch, self.device.kernel
+        launch(kernel("nearest", "pad_penalty", **defines), padded_size, p, padded_size, penalty, padded)
+        packed = self._pack_panels("right", points, p, depth, 1, depth)
+        items = ceil_div(m, groups * TILE)
+        launch(kernel("nearest", "nearest", **defines), items, m, p, depth, queries, packed, padded, index, score)
+        return index, score
+
+    def distortion_batch(
+        self,
+        dx: DeviceArray,
+        dy: DeviceArray,
+        w: DeviceArray,
+        index: DeviceArray,
+        kind: DistortionKind = "squared",
+        *,
+        out: DeviceArray | None = None,
+    ) -> DeviceArray:
+        """Σ_il w_i w_l e(dx[T_i, T_l], dy[i, l]) for every column T of index."""
+        if kind not in ("squared", "relative"):
+            raise InputError(f"distortion_batch: kind must be squared or relative, got {kind!r}")
+        m, maps = index.shape
+        p = dx.shape[0]
+        require_shapes("distortion_batch", dx=(dx.shape, (p, p)), dy=(dy.shape, (m, m)), w=(w.shape, (m,)))
+        result = self._result("distortion_batch", (maps,), out)
+        rows = self.device.scratch("maps", maps * m, np.int32)
+        parts = ceil_div(m, ROWS_OF_PART)
+        partial = self.device.scratch("partial", parts * maps)
+        suffix = "f" if self.dtype.itemsize == 4 else ""
+        defines = {
+            "RELATIVE": int(kind == "relative"),
+            "DB": ROWS_OF_PART,
+            "FLOOR": f"{RELATIVE_DISTANCE_FLOOR}{suffix}",
+        }
+        launch, kernel = self.device.launch, self.device.kernel
+        launch(kernel("candidates", "transpose_maps", **defines), maps, m, maps, index, rows)
+        scores = kernel("candidates", "distortion_parts", **defines)
+        launch(scores, (parts, maps), m, p, parts, dx, dy, w, rows, partial)
+        launch(kernel("reduce", "finish_rows", RB=PART), maps, maps, parts, partial, result)
+        return result
+
+    def map_distance(
+        self, dx: DeviceArray, w: DeviceArray, index: DeviceArray, *, out: DeviceArray | None = None
+    ) -> DeviceArray:
+        """Σ_i w_i dx[index[i, a], index[i, b]]."""
+        m, maps = index.shape
+        p = dx.shape[0]
+        require_shapes("map_distance", dx=(dx.shape, (p, p)), w=(w.shape, (m,)))
+        result = self._result("map_distance", (maps, maps), out)
+        suffix = "f" if self.dtype.itemsize == 4 else ""
+        defines = {"DB": ROWS_OF_PART, "FLOOR": f"{RELATIVE_DISTANCE_FLOOR}{suffix}"}
+        kernel = self.device.kernel("candidates", "map_distance", **defines)
+        self.device.launch(kernel, (ceil_div(maps, self.device.lanes), maps), m, maps, p, dx, w, index, result)
+        return result

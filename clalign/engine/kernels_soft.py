@@ -1,0 +1,239 @@
+"""The soft correspondence on the device: quadratic form, streamed form, gradients."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .device import DeviceArray
+from .kernels_arrays import ELEMENTS, ceil_div, require_shapes
+from .kernels_products import DEPTH_BLOCK, TILE, KernelProducts
+from .reference_soft import pair_count, pair_factor
+
+FEATURES = 256
+"""Features made at once on a CPU; they stay in the first cache."""
+
+PAIRS = 96
+"""Pairs of a block of the gradient."""
+
+
+class KernelSoftMaps(KernelProducts):
+    """`backend.SoftMaps` on a device; see there for the formulas."""
+
+    def packed_moments(
+        self, psi: DeviceArray, w: DeviceArray, u: DeviceArray, *, out: DeviceArray | None = None
+    ) -> DeviceArray:
+        """M_r = ψᵀ diag(w u_r) ψ, packed with off-diagonals doubled."""
+        (n, k), r = psi.shape, u.shape[1]
+        require_shapes("packed_moments", w=(w.shape, (n,)), u=(u.shape[:1], (n,)))
+        result = self._result("packed_moments", (pair_count(k), r), out)
+        tile = tile_rows(r)
+        right = self._pack_tiles(u, w, tile)
+        key = ("runs", k, self.device.lanes)
+        if key not in self._constants:
+            self._constants[key] = self.array(pair_runs(k, self.device.lanes // 2))
+        runs = self._constants[key]
+        panels = runs.shape[0]
+        groups = self._groups(panels)
+        sums = self._sums(panels, ceil_div(r, tile) * tile)
+        kernel = self.device.kernel("moments", "moments", RT=tile, FB=self._features())
+        arguments = (n, k, r, panels, groups, psi, runs, right, sums, result)
+        self.device.launch(kernel, ceil_div(panels, groups), *arguments)
+        return result
+
+    def packed_moments_gradient(
+        self, psi: DeviceArray, w: DeviceArray, dpacked: DeviceArray, *, out: DeviceArray | None = None
+    ) -> DeviceArray:
+        """du_ir = w_i vech'(ψ_i ψ_iᵀ) · dpacked[:, r]."""
+        (n, k), r = psi.shape, dpacked.shape[1]
+        require_shapes("packed_moments_gradient", w=(w.shape, (n,)), dpacked=(dpacked.shape[:1], (pair_count(k),)))
+        result = self._result("packed_moments_gradient", (n, r), out)
+        self._quadratic(psi, dpacked, w, result, self._constant(("pairs", k), pair_factor(k, self.dtype)))
+        return result
+
+    def soft_map(
+        self,
+        c: DeviceArray,
+        packed: DeviceArray,
+        normal: DeviceArray | None = None,
+        *,
+        out: tuple[DeviceArray, DeviceArray] | None = None,
+    ) -> tuple[DeviceArray, DeviceArray]:
+        """z_jr = c_j M_r c_jᵀ / s_j and s_j."""
+        (n, k), r = c.shape, packed.shape[1]
+        require_shapes("soft_map", packed=(packed.shape[:1], (pair_count(k),)))
+        z = self._result("soft_map", (n, r), out and out[0])
+        s = self._result("soft_map", (n,), out and out[1])
+        inverse = self.device.scratch("inverse", self._padded(n))
+        self._row_dots(c, self._times_normal(c, normal), s, inverse)
+        self._quadratic(c, packed, inverse, z)
+        return z, s
+
+    def soft_map_gradient(
+        self,
+        c: DeviceArray,
+        packed: DeviceArray,
+        normal: DeviceArray | None,
+        z: DeviceArray,
+        s: DeviceArray,
+        dz: DeviceArray,
+        *,
+        out: DeviceArray | None = None,
+    ) -> DeviceArray:
+        """dc_j = (2 / s_j) [(Σ_r dz_jr M_r) c_j − (Σ_r dz_jr z_jr) N c_j]."""
+        (n, k), r = c.shape, packed.shape[1]
+        require_shapes("soft_map_gradient", packed=(packed.shape[:1], (pair_count(k),)), z=(z.shape, (n, r)))
+        require_shapes("soft_map_gradient", dz=(dz.shape, (n, r)), s=(s.shape, (n,)))
+        result = self._result("soft_map_gradient", (n, k), out)
+        inverse = self.device.scratch("inverse", self._padded(n))
+        dots = self.device.scratch("dots", self._padded(n))
+        removed = self.device.scratch("removed", self._padded(n))
+        product_with_n = self._times_normal(c, normal)
+        self._row_dots(c, product_with_n, dots, inverse)
+        self._row_dots(dz, z, removed)
+        ct = self._pack_panels("c", c, n, k, 1, k)
+        cn = ct if normal is None else self._pack_panels("cn", product_with_n, n, k, 1, k)
+        dzt = self._pack_panels("dz", dz, n, r, 1, r)
+        panels = ceil_div(n, self.device.lanes)
+        groups = self._groups(panels)
+        sums = self._sums(panels, k)
+        kernel = self.device.kernel("soft_map_gradient", "soft_map_gradient", RT=TILE, PB=PAIRS)
+        arguments = (n, k, r, groups, ct, cn, dzt, packed, removed, inverse, sums, result)
+        self.device.launch(kernel, ceil_div(panels, groups), *arguments)
+        return result
+
+    def soft_map_streamed(
+        self,
+        c: DeviceArray,
+        psi: DeviceArray,
+        w: DeviceArray,
+        u: DeviceArray,
+        *,
+        out: tuple[DeviceArray, DeviceArray] | None = None,
+    ) -> tuple[DeviceArray, DeviceArray]:
+        """z_jr = Σ_i w_i q_ij² u_ir / s_j, s_j = Σ_i w_i q_ij²."""
+        (n, k), (n_y, r) = c.shape, u.shape
+        require_shapes("soft_map_streamed", psi=(psi.shape, (n_y, k)), w=(w.shape, (n_y,)))
+        z = self._result("soft_map_streamed", (n, r), out and out[0])
+        s = self._result("soft_map_streamed", (n,), out and out[1])
+        tile = tile_rows(r)
+        right = self._pack_tiles(u, None, tile)
+        ct = self._pack_panels("c", c, n, k, 1, k)
+        panels = ceil_div(n, self.device.lanes)
+        groups = self._groups(panels)
+        sums = self._sums(panels, ceil_div(r, tile) * tile)
+        weights = self.device.scratch("weights", self._padded(n))
+        kernel = self.device.kernel("soft_map_streamed", "soft_map_streamed", RT=tile, FB=self._features())
+        arguments = (n, n_y, k, r, groups, ct, psi, w, right, sums, weights, z, s)
+        self.device.launch(kernel, ceil_div(panels, groups), *arguments)
+        return z, s
+
+    def soft_map_streamed_gradient(
+        self,
+        c: DeviceArray,
+        psi: DeviceArray,
+        w: DeviceArray,
+        u: DeviceArray,
+        z: DeviceArray,
+        s: DeviceArray,
+        dz: DeviceArray,
+        *,
+        out: DeviceArray | None = None,
+    ) -> DeviceArray:
+        """dc_j = (2 / s_j) Σ_i w_i q_ij (Σ_r dz_jr (u_ir − z_jr)) ψ_i."""
+        (n, k), (n_y, r) = c.shape, u.shape
+        require_shapes("soft_map_streamed_gradient", psi=(psi.shape, (n_y, k)), w=(w.shape, (n_y,)))
+        require_shapes("soft_map_streamed_gradient", z=(z.shape, (n, r)), dz=(dz.shape, (n, r)), s=(s.shape, (n,)))
+        result = self._result("soft_map_streamed_gradient", (n, k), out)
+        removed = self.device.scratch("removed", self._padded(n))
+        self._row_dots(dz, z, removed)
+        inverse = self._reciprocal(s)
+        ct = self._pack_panels("c", c, n, k, 1, k)
+        dzt = self._pack_panels("dz", dz, n, r, 1, r)
+        panels = ceil_div(n, self.device.lanes)
+        groups = self._groups(panels)
+        sums = self._sums(panels, k)
+        kernel = self.device.kernel("soft_map_streamed", "soft_map_streamed_gradient", RT=TILE, FB=self._features())
+        arguments = (n, n_y, k, r, groups, ct, psi, w, u, dzt, removed, inverse, sums, result)
+        self.device.launch(kernel, ceil_div(panels, groups), *arguments)
+        return result
+
+    def _quadratic(
+        self,
+        c: DeviceArray,
+        packed: DeviceArray,
+        factor: DeviceArray,
+        z: DeviceArray,
+        pair_weight: DeviceArray | None = None,
+    ) -> None:
+        """Queue z = diag(factor) vech(c cᵀ) · diag(pair_weight) packed."""
+        (n, k), r = c.shape, packed.shape[1]
+        tile = tile_rows(r)
+        right = self._pack_tiles(packed, pair_weight, tile)
+        ct = self._pack_panels("c", c, n, k, 1, k)
+        panels = ceil_div(n, self.device.lanes)
+        groups = self._groups(panels)
+        sums = self._sums(panels, ceil_div(r, tile) * tile)
+        kernel = self.device.kernel("soft_map", "soft_map", RT=tile, FB=self._features())
+        arguments = (n, k, r, groups, ct, right, factor, sums, z)
+        self.device.launch(kernel, ceil_div(panels, groups), *arguments)
+
+    def _times_normal(self, c: DeviceArray, normal: DeviceArray | None) -> DeviceArray:
+        """Queue c N; c itself where N is the identity."""
+        if normal is None:
+            return c
+        n, k = c.shape
+        require_shapes("soft_map", normal=(normal.shape, (k, k)))
+        kept = self.device.scratch("normal", n * k)
+        self._product(c, normal, kept, n, k, k, False, False)
+        return kept.leading((n, k))
+
+    def _reciprocal(self, s: DeviceArray) -> DeviceArray:
+        """Queue 1 / s_j, 0 where s_j is 0."""
+        n = s.size
+        inverse = self.device.scratch("inverse", self._padded(n))
+        kernel = self.device.kernel("elementwise", "reciprocal", EB=ELEMENTS)
+        self.device.launch(kernel, n, n, s, inverse)
+        return inverse
+
+    def _pack_tiles(self, u: DeviceArray, weight: DeviceArray | None, tile: int) -> DeviceArray:
+        """Queue packing of diag(weight) u (rows, r) into (tiles, rows, tile) scratch."""
+        rows, r = u.shape
+        tiles = ceil_div(r, tile)
+        packed = self.device.scratch("tiles", tiles * rows * tile)
+        kernel = self.device.kernel("product", "pack_tiles", RT=tile, KB=DEPTH_BLOCK)
+        self.device.launch(kernel, tiles, r, rows, u, weight, packed)
+        return packed
+
+    def _sums(self, panels: int, width: int) -> DeviceArray:
+        """Scratch (panels, width, lanes) in which sums wait between blocks."""
+        return self.device.scratch("sums", panels * width * self.device.lanes)
+
+    def _padded(self, n: int) -> int:
+        return ceil_div(n, self.device.lanes) * self.device.lanes
+
+    def _features(self) -> int:
+        """Features made at once: private memory is scarce on a GPU."""
+        return FEATURES if self.device.group == 1 else 8
+
+    def _groups(self, panels: int) -> int:
+        """Panels of one work-item: up to 4 share a block of the right side, as long as every unit has a few items."""
+        if self.device.group > 1:
+            return 1
+        return min(4, max(1, panels // (4 * self.device.facts.units)))
+
+
+def tile_rows(r: int) -> int:
+    """Rows of the register tile that waste least on r columns; 6 where 5 is no better."""
+    return 5 if ceil_div(r, 5) * 5 < ceil_div(r, 6) * 6 else 6
+
+
+def pair_runs(k: int, lanes: int) -> NDArray[np.int32]:
+    """Runs of `lanes` pairs (a, b .. b + lanes - 1) that cover all pairs a <= b < k, two a panel: (panels, 2, 2).
+
+    The last panel may repeat a run; it then stores the same values twice.
+    """
+    runs = [(a, b) for a in range(k) for b in range(a, k, lanes)]
+    if len(runs) % 2:
+        runs.append(runs[-1])
+    return np.array(runs, dtype=np.int32).reshape(-1, 2, 2)

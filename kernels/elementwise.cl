@@ -1,0 +1,83 @@
+/* Kernels that touch every element once.
+ *
+ * All launch (ceil(count / EB)) work-items of EB elements, or one work-item a row.
+ * add:         out = scale_a a + scale_b b                          (count)
+ * scale_rows:  out[i, :] = w[i] a[i, :]                             a (n, k), w (n)
+ * gather_rows: out[i, :] = a[index[i], :]                           a (*, k), index (count)
+ * row_dots:    dots[i] = a[i, :] . b[i, :], inverse[i] = 1 / dots[i] or 0; inverse may be NULL      a, b (n, k)
+ * reciprocal:  out[i] = 1 / s[i] or 0                             (n)
+ * band_expand: matrix (d, d) from values, lower (d), offsets (d + 1): row i holds columns lower[i] on
+ * band_gather: values from matrix
+ * numpy twins: clalign.engine.reference_arrays.ReferenceArrays (same names; row_dots: numpy.sum(a * b, axis=1))
+ */
+#ifndef EB
+#define EB 4096 /* elements of one work-item */
+#endif
+
+KERNEL void add(const int count, const real scale_a, const real scale_b, __global const real *a, __global const real *b,
+                __global real *out)
+{
+    const int begin = get_global_id(0) * EB, end = min(begin + EB, count);
+    for (int i = begin; i < end; ++i) out[i] = scale_a * a[i] + scale_b * b[i];
+}
+
+KERNEL void scale_rows(const int n, const int k, __global const real *a, __global const real *restrict w, __global real *out)
+{
+    const int i = get_global_id(0);
+    if (i >= n) return;
+    for (size_t j = (size_t)i * k; j < (size_t)(i + 1) * k; ++j) out[j] = w[i] * a[j];
+}
+
+KERNEL void gather_rows(const int count, const int k, __global const real *restrict a, __global const int *restrict index,
+                        __global real *restrict out)
+{
+    const int i = get_global_id(0);
+    if (i >= count) return;
+    __global const real *from = a + (size_t)index[i] * k;
+    for (int j = 0; j < k; ++j) out[(size_t)i * k + j] = from[j];
+}
+
+KERNEL void row_dots(const int n, const int k, __global const real *a, __global const real *b, __global real *restrict dots,
+                     __global real *restrict inverse)
+{
+    const int i = get_global_id(0);
+    if (i >= n) return;
+    a += (size_t)i * k;
+    b += (size_t)i * k;
+    realv sums = 0;
+    int t = 0;
+    for (; t + V <= k; t += V) sums += LOAD(__global, a + t) * LOAD(__global, b + t);
+    const real *lanes = (const real *)&sums;
+    real total = ZERO;
+    for (int lane = 0; lane < V; ++lane) total += lanes[lane];
+    for (; t < k; ++t) total += a[t] * b[t];
+    dots[i] = total;
+    if (inverse) inverse[i] = total == ZERO ? ZERO : ONE / total;
+}
+
+KERNEL void reciprocal(const int n, __global const real *restrict s, __global real *restrict out)
+{
+    const int i = get_global_id(0);
+    if (i < n) out[i] = s[i] == ZERO ? ZERO : ONE / s[i];
+}
+
+KERNEL void band_expand(const int d, __global const int *restrict lower, __global const int *restrict offsets,
+                        __global const real *restrict values, __global real *restrict matrix)
+{
+    const int i = get_global_id(0);
+    if (i >= d) return;
+    const int width = offsets[i + 1] - offsets[i];
+    __global real *row = matrix + (size_t)i * d;
+    for (int j = 0; j < lower[i]; ++j) row[j] = ZERO;
+    for (int j = 0; j < width; ++j) row[lower[i] + j] = values[offsets[i] + j];
+    for (int j = lower[i] + width; j < d; ++j) row[j] = ZERO;
+}
+
+KERNEL void band_gather(const int d, __global const int *restrict lower, __global const int *restrict offsets,
+                        __global const real *restrict matrix, __global real *restrict values)
+{
+    const int i = get_global_id(0);
+    if (i >= d) return;
+    for (int j = offsets[i]; j < offsets[i + 1]; ++j)
+        values[j] = matrix[(size_t)i * d + lower[i] + j - offsets[i]];
+}

@@ -1,0 +1,114 @@
+/* Dense and banded products: C (m, n) = scale * A (m, depth) B (depth, n), added to C when accumulate is set.
+ *
+ * One work-item owns `groups` x `panels` tiles of RT x W entries of C and runs over the depth in blocks of KB, so that one
+ * panel of B stays in the first cache and the rows of A in the second. A is read through two strides, which covers its
+ * transpose; B through the stride of a row and of a panel, which covers row-major B and B packed by pack_panels.
+ * The order of summation does not depend on the launch, so results are bitwise reproducible.
+ *
+ * product:     launch (ceil(row groups / groups), ceil(column panels / panels), splits);
+ *              a, b reals; ranges (column panels, 2) int or NULL: first and last + 1 depth with anything in that panel;
+ *              c (splits, m, n): split s sums depth s * split_depth .. (s + 1) * split_depth - 1
+ * pack_panels: launch (column panels); out (column panels, depth, W) = weight[t] * b[t rs + j cs], zero beyond column n
+ * pack_tiles:  launch (tiles); out (tiles, depth, RT) likewise
+ * sum_splits:  launch (m n): c = scale * sum over splits of partial (splits, m n) [+ c]
+ * numpy twins: clalign.engine.reference_arrays.ReferenceArrays.product, banded_product, weighted_gram
+ */
+#ifndef KB
+#define KB 384 /* depth of a block */
+#endif
+
+#define WRITE(i)                                                    \
+    if (i < rows) {                                                 \
+        __global real *to = target + (size_t)i * n;                 \
+        p##i *= scale;                                              \
+        q##i *= scale;                                              \
+        if (width >= W) {                                           \
+            if (add) {                                              \
+                p##i += LOAD(__global, to);                         \
+                q##i += LOAD(__global, to + V);                     \
+            }                                                       \
+            STORE(__global, to, p##i);                              \
+            STORE(__global, to + V, q##i);                          \
+        } else {                                                    \
+            real line[W];                                           \
+            STORE(__private, line, p##i);                           \
+            STORE(__private, line + V, q##i);                       \
+            for (int j = 0; j < width; ++j) to[j] = add ? to[j] + line[j] : line[j]; \
+        }                                                           \
+    }
+
+KERNEL void product(const int m, const int n, const int depth, const int groups, const int panels, const int split_depth,
+                    const real scale, const int accumulate, __global const real *restrict a, const int a_row,
+                    const int a_step, __global const real *restrict b, const int b_step, const long b_panel,
+                    __global const int *restrict ranges, __global real *restrict c)
+{
+    const int group_count = (m + RT - 1) / RT, panel_count = (n + W - 1) / W;
+    const int group_begin = get_global_id(0) * groups, panel_begin = get_global_id(1) * panels;
+    const int group_end = min(group_begin + groups, group_count), panel_end = min(panel_begin + panels, panel_count);
+    const int from = get_global_id(2) * split_depth, to = min(depth, from + split_depth);
+    c += (size_t)get_global_id(2) * m * n;
+    for (int block = from; block < to; block += KB)
+        for (int panel = panel_begin; panel < panel_end; ++panel) {
+            const int first = max(block, ranges ? ranges[2 * panel] : 0);
+            const int last = min(min(block + KB, to), ranges ? ranges[2 * panel + 1] : depth);
+            const int add = accumulate || block > from;
+            if (first >= last && add) continue;
+            const int width = n - panel * W;
+            for (int group = group_begin; group < group_end; ++group) {
+                const int rows = min(RT, m - group * RT);
+                TILE_BEGIN(a_row, rows)
+                TILE_STEPS(__global, b + panel * b_panel + (size_t)first * b_step, b_step,
+                           a + (size_t)group * RT * a_row + (size_t)first * a_step, a_step, last - first)
+                __global real *target = c + (size_t)group * RT * n + panel * W;
+                EACH(WRITE)
+            }
+        }
+}
+
+KERNEL void pack_panels(const int n, const int depth, __global const real *restrict b, const int b_row, const int b_column,
+                        __global const real *restrict weight, __global real *restrict out)
+{
+    const int panel = get_global_id(0);
+    if (panel * W >= n) return;
+    const int width = min(W, n - panel * W);
+    b += (size_t)panel * W * b_column;
+    out += (size_t)panel * W * depth;
+    if (b_column == 1 && width == W) {
+        for (int t = 0; t < depth; ++t) {
+            const real factor = weight ? weight[t] : ONE;
+            STORE(__global, out + (size_t)t * W, factor * LOAD(__global, b + (size_t)t * b_row));
+            STORE(__global, out + (size_t)t * W + V, factor * LOAD(__global, b + (size_t)t * b_row + V));
+        }
+        return;
+    }
+    for (int t = 0; t < depth; ++t) {
+        const real factor = weight ? weight[t] : ONE;
+        for (int j = 0; j < width; ++j)
+            out[(size_t)t * W + j] = factor * b[(size_t)t * b_row + (size_t)j * b_column];
+        for (int j = width; j < W; ++j) out[(size_t)t * W + j] = ZERO;
+    }
+}
+
+KERNEL void pack_tiles(const int n, const int depth, __global const real *restrict b, __global const real *restrict weight,
+                       __global real *restrict out)
+{
+    const int tile = get_global_id(0);
+    if (tile * RT >= n) return;
+    const int width = min(RT, n - tile * RT);
+    out += (size_t)tile * RT * depth;
+    for (int t = 0; t < depth; ++t) {
+        const real factor = weight ? weight[t] : ONE;
+        for (int j = 0; j < RT; ++j)
+            out[(size_t)t * RT + j] = j < width ? factor * b[(size_t)t * n + tile * RT + j] : ZERO;
+    }
+}
+
+KERNEL void sum_splits(const int count, const int splits, const real scale, const int accumulate,
+                       __global const real *restrict partial, __global real *restrict c)
+{
+    const int i = get_global_id(0);
+    if (i >= count) return;
+    real sum = ZERO;
+    for (int s = 0; s < splits; ++s) sum += partial[(size_t)s * count + i];
+    c[i] = accumulate ? c[i] + scale * sum : scale * sum;
+}
