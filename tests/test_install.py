@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[1]
 
 PROBE = """
 import clalign, clalign.data
-from clalign.engine.device import kernel_sources
-names = sorted(path.name for path in kernel_sources())
+from clalign.engine.programs import kernel_folder
+names = sorted(path.name for path in kernel_folder().glob("*.cl"))
 print(clalign.__file__)
 print(" ".join(names))
 print(all(path.is_file() for path in clalign.data.bundled_pair()))

@@ -1,0 +1,201 @@
+"""``clalign doctor``: what OpenCL finds here, whether the kernels compute correctly, and what to do if not."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import importlib.util
+import json
+import os
+import platform
+import sys
+from pathlib import Path
+from typing import Any
+
+from clalign.cli.probe import probe
+from clalign.cli.terminal import table
+
+PACKAGES = ("numpy", "scipy", "trimesh", "pyopencl", "nlopt", "potpourri3d")
+VARIABLES = (
+    "CLALIGN_DEVICE",
+    "CLALIGN_CACHE",
+    "OCL_ICD_VENDORS",
+    "OCL_ICD_FILENAMES",
+    "OPENCL_VENDOR_PATH",
+    "POCL_CACHE_DIR",
+    "POCL_MAX_PTHREAD_COUNT",
+    "OMP_NUM_THREADS",
+)
+SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``doctor`` to the program."""
+    parser = subparsers.add_parser(
+        "doctor",
+        help="examine OpenCL on this machine",
+        description="List the OpenCL loader, drivers and devices, run kernels on each device and compare them with "
+        "numpy, and name the next command when something is missing. Exit status 0: a device works; 1: none does.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--json", action="store_true", help="print the findings as one JSON document")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Examine, print, and return 0 if matching works on some device."""
+    findings = examine()
+    if args.json:
+        print(json.dumps(findings, indent=2))
+    else:
+        for line in report(findings):
+            print(line)
+    return 0 if findings["works"] else 1
+
+
+def examine() -> dict[str, Any]:
+    """Return every fact of this machine that decides whether OpenCL works, as plain values."""
+    found = probe()
+    devices = found.get("devices", [])
+    for device in devices:
+        number = f"{device['platform']}:{device['device']}"
+        device["checks"] = {
+            precision: probe(number, precision)
+            for precision in (("single", "double") if device["double"] else ("single",))
+        }
+    findings: dict[str, Any] = {
+        "system": _system(),
+        "packages": {name: _version(name) for name in ("clalign", *PACKAGES)},
+        "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
+        "vendor_files": vendor_files(),
+        "libraries": found.get("libraries", []),
+        "kernels": _kernels(),
+        "error": found.get("error"),
+        "devices": devices,
+    }
+    findings["works"] = any(passed(answer) for device in devices for answer in device["checks"].values())
+    findings["advice"] = advice(findings, platform.system())
+    return findings
+
+
+def passed(answer: dict[str, Any]) -> bool:
+    """Return whether a device's kernels ran and agreed."""
+    return "error" not in answer and all(check["agrees"] for check in answer["checks"])
+
+
+def vendor_files() -> dict[str, str]:
+    """Return the driver files that OpenCL loaders read, each with the library that it names."""
+    folders = [Path(os.environ.get("OCL_ICD_VENDORS", SYSTEM_VENDORS))]
+    wheel = importlib.util.find_spec("pyopencl")
+    if wheel is not None and wheel.origin is not None:
+        folders.append(Path(wheel.origin).parent / ".libs")
+    files = [folder] if (folder := folders[0]).suffix == ".icd" and folder.is_file() else []
+    files += [file for folder in folders if folder.is_dir() for file in sorted(folder.glob("*.icd"))]
+    return {str(file): file.read_text(encoding="utf-8", errors="replace").strip() for file in files}
+
+
+def advice(findings: dict[str, Any], system: str) -> list[str]:
+    """Return the next commands, most useful first; none when everything works.
+
+    Parameters
+    ----------
+    findings : as from `examine`.
+    system : "Linux", "Darwin" or "Windows".
+    """
+    if findings["packages"]["pyopencl"] is None:
+        return ["pip install pyopencl"]
+    if findings["kernels"]["error"] is not None:
+        return ["pip install --force-reinstall --no-deps clalign"]
+    if findings["works"]:
+        return []
+    if not findings["devices"]:
+        if "Linux" in system:
+            return ['pip install "clalign[pocl]"', "or, on Debian and Ubuntu: apt install pocl-opencl-icd"]
+        if system == "Darwin":
+            return ["conda install -c conda-forge pocl pyopencl", "clalign match A B --device reference  # no OpenCL"]
+        return [
+            "pip install intel-opencl-rt  # a CPU driver, or install the graphics card's driver",
+            "clalign match A B --device reference  # no OpenCL",
+        ]
+    commands = ["clalign match A B --device reference  # computes with numpy meanwhile"]
+    if any("Portable Computing Language" in device["platform_name"] for device in findings["devices"]):
+        commands.insert(0, "rm -r ~/.cache/pocl  # a damaged kernel cache of PoCL looks like a failing driver")
+    return commands
+
+
+def report(findings: dict[str, Any]) -> list[str]:
+    """Return the findings as lines for a person."""
+    versions = ", ".join(f"{name} {version or 'missing'}" for name, version in findings["packages"].items())
+    lines = ["system", *table(list(findings["system"].items())), "packages", f"  {versions}"]
+    if findings["variables"]:
+        lines += ["environment", *table(list(findings["variables"].items()))]
+    lines += ["OpenCL loader and drivers in use", *(f"  {path}" for path in findings["libraries"])]
+    if not findings["libraries"]:
+        lines.append("  none seen")
+    lines.append("driver files")
+    lines += [f"  {file} -> {library}" for file, library in findings["vendor_files"].items()] or ["  none"]
+    kernels = findings["kernels"]
+    lines += ["kernels", f"  {kernels['error'] or '{count} files in {folder}'.format(**kernels)}"]
+    lines.append("devices")
+    if findings["error"]:
+        lines.append(f"  {findings['error']}")
+    for device in findings["devices"]:
+        lines += _device_lines(device)
+    if findings["works"]:
+        lines.append("OpenCL works here.")
+    if findings["advice"]:
+        lines += ["next", *(f"  {command}" for command in findings["advice"])]
+    return lines
+
+
+def _device_lines(device: dict[str, Any]) -> list[str]:
+    gib = 1 / 2**30
+    rows = [
+        ("platform", f"{device['platform_name']}, {device['version']}"),
+        ("driver", device["driver"]),
+        ("units", str(device["units"])),
+        ("memory", f"{device['memory'] * gib:.1f} GiB, largest buffer {device['largest_buffer'] * gib:.1f} GiB"),
+        ("double precision", "yes" if device["double"] else "no"),
+    ]
+    rows += [(f"kernels, {precision}", _check_line(answer)) for precision, answer in device["checks"].items()]
+    return [
+        f"  {device['platform']}:{device['device']} {device['name']} ({device['kind']})",
+        *table(rows, indent="      "),
+    ]
+
+
+def _check_line(answer: dict[str, Any]) -> str:
+    if "error" in answer:
+        return f"FAILED: {answer['error']}"
+    checks = answer["checks"]
+    seconds = sum(check["seconds"] for check in checks)
+    wrong = [f"{check['function']} is off by {check['error']:.1e}" for check in checks if not check["agrees"]]
+    if wrong:
+        return "WRONG: " + ", ".join(wrong)
+    worst = max(check["error"] for check in checks)
+    return f"{len(checks)} agree with numpy to {worst:.0e}, built and run in {seconds:.1f} s"
+
+
+def _system() -> dict[str, str]:
+    return {
+        "machine": f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
+        "python": f"{platform.python_version()} in {sys.prefix}",
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _kernels() -> dict[str, Any]:
+    from clalign.engine.programs import kernel_folder
+    from clalign.errors import DeviceError
+
+    try:
+        folder = kernel_folder()
+    except DeviceError as error:
+        return {"folder": None, "count": 0, "error": str(error)}
+    return {"folder": str(folder), "count": len(list(folder.glob("*.cl"))), "error": None}
