@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from clalign.options import EngineOptions
+
 from .backend import Array, Backend, Band
 from .reference import Reference
 

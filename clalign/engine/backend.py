@@ -1,8 +1,8 @@
 """What a backend can compute: the protocol that the numpy reference and the OpenCL kernels both follow.
 
 Arrays are the backend's own, row-major, of the backend's real type or int32. Both kinds have ``shape``, ``dtype`` and
-``reshape``. With ``out`` given a function writes there and returns it. Shapes are written in the docstrings; symbols are
-those of the project: n vertices, k basis functions, d descriptors, r columns of a low-rank distance factor.
+``reshape``. With ``out`` given a function writes there and returns it. Shapes are written in the docstrings, with the
+project's symbols: n vertices, k basis functions, d descriptors, r columns of a low-rank distance factor.
 """
 
 from __future__ import annotations

@@ -317,7 +317,8 @@ def require_precision(facts: DeviceFacts, precision: str) -> None:
     """
     if precision == "double" and not facts.double:
         raise DeviceError(
-            f"{facts.label} has no double precision; use --precision single, or another device (clalign doctor lists them)"
+            f"{facts.label} has no double precision; use single precision (engine.precision), or another device: "
+            "clalign doctor lists them"
         )
 
 

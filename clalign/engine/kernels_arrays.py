@@ -80,7 +80,7 @@ class KernelArrays:
         scale_b: float = 1.0,
         out: DeviceArray | None = None,
     ) -> DeviceArray:
-        """scale_a · a + scale_b · b."""
+        """Return scale_a · a + scale_b · b."""
         require_shapes("add", b=(b.shape, a.shape))
         result = self._result("add", a.shape, out)
         kernel = self.device.kernel("elementwise", "add", EB=ELEMENTS)

@@ -35,7 +35,7 @@ class KernelProducts(KernelArrays):
         accumulate: bool = False,
         out: DeviceArray | None = None,
     ) -> DeviceArray:
-        """scale · op(a) op(b), added to `out` when `accumulate` is set."""
+        """Return scale · op(a) op(b), added to `out` when `accumulate` is set."""
         m, depth = a.shape[::-1] if transpose_a else a.shape
         inner, n = b.shape[::-1] if transpose_b else b.shape
         require_shapes("product", b=((inner,), (depth,)))
@@ -66,7 +66,7 @@ class KernelProducts(KernelArrays):
     def banded_product(
         self, a: DeviceArray, r: DeviceArray, band: Band, *, transpose_r: bool = False, out: DeviceArray | None = None
     ) -> DeviceArray:
-        """a R or a Rᵀ, skipping tiles of zeros; R must be zero outside the band."""
+        """Return a R or a Rᵀ, skipping tiles of zeros; R must be zero outside the band."""
         size = band.size
         require_shapes("banded_product", r=(r.shape, (size, size)), a=(a.shape[1:], (size,)))
         result = self._result("banded_product", (a.shape[0], size), out)
@@ -103,7 +103,7 @@ class KernelProducts(KernelArrays):
     def solve_right(
         self, gram: DeviceArray, rhs: DeviceArray, ridge: float, *, out: DeviceArray | None = None
     ) -> DeviceArray:
-        """rhs (gram + ridge · trace(gram) / k · I)⁻¹; NaN where gram is not positive definite."""
+        """Return rhs (gram + ridge · trace(gram) / k · I)⁻¹; NaN where gram is not positive definite."""
         m, k = rhs.shape
         require_shapes("solve_right", gram=(gram.shape, (k, k)))
         result = self._result("solve_right", rhs.shape, out)

@@ -87,8 +87,11 @@ class KernelSearches(KernelProducts):
         p = dx.shape[0]
         require_shapes("map_distance", dx=(dx.shape, (p, p)), w=(w.shape, (m,)))
         result = self._result("map_distance", (maps, maps), out)
-        suffix = "f" if self.dtype.itemsize == 4 else ""
-        defines = {"DB": ROWS_OF_PART, "FLOOR": f"{RELATIVE_DISTANCE_FLOOR}{suffix}"}
-        kernel = self.device.kernel("candidates", "map_distance", **defines)
+        kernel = self.device.kernel("candidates", "map_distance", **self._candidate_defines("squared"))
         self.device.launch(kernel, (ceil_div(maps, self.device.lanes), maps), m, maps, p, dx, w, index, result)
         return result
+
+    def _candidate_defines(self, kind: DistortionKind) -> dict[str, str | int]:
+        suffix = "f" if self.dtype.itemsize == 4 else ""
+        floor = f"{RELATIVE_DISTANCE_FLOOR}{suffix}"
+        return {"RELATIVE": int(kind == "relative"), "DB": ROWS_OF_PART, "FLOOR": floor}
