@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +22,15 @@ from clalign.geometry.mesh_checks import diagnose
 from clalign.geometry.mesh_repair import repair
 
 CONTENT = {name: write(shapes.bumpy_sphere(1)) for name, write in malformed.WRITERS.items()}
-BOUNDED = settings(max_examples=120, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+# More examples, new ones on every run: CLALIGN_FUZZ_EXAMPLES=1500 pytest tests/geometry/test_mesh_fuzz.py
+EXAMPLES = os.environ.get("CLALIGN_FUZZ_EXAMPLES")
+BOUNDED = settings(
+    max_examples=int(EXAMPLES or 120),
+    derandomize=EXAMPLES is None,
+    database=None,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
 PIECES = [
     b"nan",
     b"-1",
