@@ -145,9 +145,11 @@ def _matched(
     source: Mesh, target: Mesh, options: Options, args: argparse.Namespace, terminal: Terminal
 ) -> Correspondence:
     import clalign
+    from clalign.geometry.cache import ShapeCache
 
+    cache = None if args.no_cache else ShapeCache()
     with terminal.progress() as progress:
-        return clalign.match(source, target, options, progress=progress)
+        return clalign.match(source, target, options, progress=progress, cache=cache)
 
 
 def _extra_files(
