@@ -27,6 +27,7 @@ logger = logging.getLogger(__name__)
 
 #: Part of every key; raised whenever the same input leads to other arrays than before.
 FORMAT = 1
+KEY_DIGITS = 40
 DEFAULT_LIMIT = 2 * 1024**3
 #: A temporary file of this age, in seconds, was left behind by a process that was killed.
 ABANDONED_AFTER = 3600.0
@@ -60,7 +61,7 @@ def content_key(kind: str, arrays: Mapping[str, NDArray[Any]], values: Mapping[s
         array = np.ascontiguousarray(arrays[name])
         digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
         digest.update(array.data)
-    return f"{kind}-{digest.hexdigest()[:40]}"
+    return f"{kind}-{digest.hexdigest()[:KEY_DIGITS]}"
 
 
 def default_folder() -> Path:
@@ -93,7 +94,7 @@ class ShapeCache:
         """
         path = self._path(key)
         try:
-            with np.load(path, allow_pickle=False) as stored:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files}
             os.utime(path)
         except FileNotFoundError:
@@ -143,7 +144,8 @@ class ShapeCache:
 
     def _entries(self, suffix: str = ".npz") -> list[tuple[Path, os.stat_result]]:
         found = []
-        for path in self.folder.glob(f"*{suffix}"):
+        # Nothing but files that look like ours: the folder may be one that the user keeps other arrays in.
+        for path in self.folder.glob(f"*-{KEY_DIGITS * '[0-9a-f]'}*{suffix}"):
             # Another process may remove a file between the listing and the question about its size.
             with contextlib.suppress(OSError):
                 found.append((path, path.stat()))
