@@ -39,7 +39,7 @@ def save_error_curves(
     Raises
     ------
     InputError
-        There is no curve, or one of another length; or matplotlib is not installed or cannot write that format.
+        There is no curve, or one of another length; or matplotlib is not installed, or the file cannot be written.
     """
     for label, curve in curves.items():
         if curve.shape != THRESHOLDS.shape:
@@ -59,5 +59,5 @@ def save_error_curves(
     axes.legend(loc="lower right", fontsize="small", title="area under the curve in brackets", title_fontsize="small")
     try:
         figure.savefig(path, dpi=160)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         raise InputError(f"{path}: {error}") from error

@@ -1,0 +1,321 @@
+"""Writes a match for other programs.
+
+Text maps, coloured PLY and textured OBJ use the vertex numbers of the mesh files. The eigenfunctions exist only for
+vertices on the surface, so NumPy, MATLAB, pyFM and geomfum exports number vertices as the arrays in the same file do
+(the two numberings agree unless a mesh file has vertices outside its surface).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.correspondence import Correspondence
+from clalign.errors import InputError
+from clalign.geometry.mesh import Mesh
+from clalign.geometry.mesh_writing import save_mesh
+from clalign.geometry.operators import stiffness
+from clalign.presentation.camera import Up, front_view
+from clalign.presentation.colours import position_colours
+from clalign.presentation.picture import carried_colours
+from clalign.presentation.raster import write_png
+from clalign.presentation.surface_map import surface_map, vertex_map
+from clalign.presentation.texture import Texture
+
+_TEXTURE_SIZE = 1024
+_TEXTURE_SQUARES = 24
+_MATERIAL = "newmtl match\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd match.png\n"
+
+
+def file_positions(mesh: Mesh) -> NDArray[np.float64]:
+    """Return (file_count, 3) positions in the file's unit; vertices off the surface lie at the centroid."""
+    positions = np.tile(mesh.offset, (mesh.file_count, 1))
+    positions[mesh.file_index] = mesh.file_vertices()
+    return positions
+
+
+def export_ply(correspondence: Correspondence, folder: str | Path, *, up: Up | None = None) -> list[Path]:
+    """Write ``source.ply`` and ``target.ply``, coloured alike where they match. Returns the files."""
+    target = correspondence.target
+    colours = position_colours(target.vertices, front_view(target.vertices, up))
+    carried = carried_colours(colours, surface_map(correspondence))
+    written = []
+    for side, mesh, rows in (("source", correspondence.source, carried), ("target", target, colours)):
+        path = _ready(folder) / f"{side}.ply"
+        on_file = np.full((mesh.file_count, 3), 0.5)
+        on_file[mesh.file_index] = rows
+        save_mesh(path, file_positions(mesh), mesh.file_index[mesh.faces], on_file)
+        written.append(path)
+    return written
+
+
+def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | None = None) -> list[Path]:
+    """Write both shapes as OBJ with one checkered texture, laid on the target from the front and carried to the source.
+
+    Writes ``source.obj``, ``target.obj``, ``match.mtl`` and ``match.png`` and returns these files.
+    """
+    target = correspondence.target
+    seen = target.vertices @ front_view(target.vertices, up)[:2].T
+    low, span = seen.min(axis=0), np.ptp(seen, axis=0).max()
+    laid = 0.02 + 0.96 * (seen - low) / span
+    carried = surface_map(correspondence).pull(laid)
+    folder = _ready(folder)
+    materials = ("mtllib match.mtl", "usemtl match")
+    for side, mesh, rows in (("source", correspondence.source, carried), ("target", target, laid)):
+        texture = Texture(rows, mesh.faces.astype(np.int64), mesh.file_index[mesh.faces], materials)
+        write_textured_obj(folder / f"{side}.obj", file_positions(mesh), texture)
+    (folder / "match.mtl").write_text(
+        "newmtl match\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd match.png\n", encoding="ascii"
+    )
+    write_png(folder / "match.png", _checkers())
+    return [folder / name for name in ("source.obj", "target.obj", "match.mtl", "match.png")]
+
+
+def write_textured_obj(path: str | Path, vertices: NDArray[np.float64], texture: Texture) -> None:
+    """Write an OBJ file with texture coordinates of corners.
+
+    Parameters
+    ----------
+    path : the file.
+    vertices : (n, 3) positions in file numbering.
+    texture : coordinates, corners and faces; its material lines come first.
+    """
+    lines = list(texture.materials)
+    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    lines += [f"vt {u:.7g} {v:.7g}" for u, v in texture.coordinates.tolist()]
+    corners = np.stack([texture.faces + 1, texture.corners + 1], axis=2).reshape(-1, 6)
+    lines += [f"f {a}/{s} {b}/{t} {c}/{u}" for a, s, b, t, c, u in corners.tolist()]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def export_vts(correspondence: Correspondence, folder: str | Path) -> list[Path]:
+    """Write ``source.vts`` and ``target.vts``: line i of both is one point, as vertices counted from 1.
+
+    Source vertices without a match have no line.
+    """
+    matched = np.flatnonzero(correspondence.target_of_source >= 0)
+    folder = _ready(folder)
+    np.savetxt(folder / "source.vts", matched + 1, fmt="%d")
+    np.savetxt(folder / "target.vts", correspondence.target_of_source[matched] + 1, fmt="%d")
+    return [folder / "source.vts", folder / "target.vts"]
+
+
+def export_map(correspondence: Correspondence, folder: str | Path) -> list[Path]:
+    """Write ``source_target.map`` and ``target_source.map``.
+
+    Line i holds the vertex, counted from 1, of the second shape for vertex i of the first; 0 where there is none.
+    """
+    folder = _ready(folder)
+    np.savetxt(folder / "source_target.map", correspondence.target_of_source + 1, fmt="%d")
+    np.savetxt(folder / "target_source.map", correspondence.source_of_target + 1, fmt="%d")
+    return [folder / "source_target.map", folder / "target_source.map"]
+
+
+def surface_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
+    """Return meshes, bases and maps in one numbering, that of the vertices on the surface, counted from 0.
+
+    Returns
+    -------
+    dict with, for each side s in source, target: ``s_vertices`` (n, 3) and ``s_faces`` (m, 3) scaled to unit area,
+    ``s_file_index`` (n,), ``s_mass`` (n,), ``s_eigenvalues`` (k,), ``s_functions`` (n, k) of the Laplace–Beltrami
+    operator, ``s_si_eigenvalues``, ``s_si_functions`` and ``s_si_mass`` of the scale-invariant one; and
+    ``functional_map`` (k_target, k_source), ``rotation`` (d, d), ``target_of_source`` (n_source,),
+    ``source_of_target`` (n_target,), ``distortion`` (n_source,).
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    for side in ("source", "target"):
+        mesh: Mesh = getattr(correspondence, side)
+        basis, invariant = getattr(correspondence, f"{side}_basis"), getattr(correspondence, f"{side}_descriptors")
+        arrays[f"{side}_vertices"], arrays[f"{side}_faces"] = mesh.vertices, mesh.faces
+        arrays[f"{side}_file_index"], arrays[f"{side}_mass"] = mesh.file_index, basis.mass
+        arrays[f"{side}_eigenvalues"], arrays[f"{side}_functions"] = basis.eigenvalues, basis.functions
+        arrays[f"{side}_si_eigenvalues"], arrays[f"{side}_si_functions"] = invariant.eigenvalues, invariant.functions
+        arrays[f"{side}_si_mass"] = invariant.mass
+    source, target = correspondence.source, correspondence.target
+    arrays["functional_map"], arrays["rotation"] = correspondence.functional_map, correspondence.rotation
+    arrays["target_of_source"] = vertex_map(correspondence.target_of_source, source, target).vertex
+    arrays["source_of_target"] = vertex_map(correspondence.source_of_target, target, source).vertex
+    arrays["distortion"] = correspondence.distortion
+    return arrays
+
+
+def export_numpy(correspondence: Correspondence, folder: str | Path) -> list[Path]:
+    """Write ``match.npz`` with the arrays of `surface_arrays`."""
+    path = _ready(folder) / "match.npz"
+    arrays: dict[str, Any] = dict(surface_arrays(correspondence))
+    np.savez_compressed(path, **arrays)
+    return [path]
+
+
+def export_matlab(correspondence: Correspondence, folder: str | Path) -> list[Path]:
+    """Write ``match.mat`` for MATLAB: the arrays of `surface_arrays` with vertices counted from 1.
+
+    S1 is the source and S2 the target, each with X, T, evals, evecs, A and file_index; C12 (k2, k1) takes coefficients
+    of functions on S1 to S2, T12 (n1,) and T21 (n2,) hold the vertex on the other shape (0: none), R is the rotation.
+    """
+    import scipy.io
+
+    arrays = surface_arrays(correspondence)
+    shapes = {
+        name: {
+            "X": arrays[f"{side}_vertices"],
+            "T": arrays[f"{side}_faces"].astype(np.float64) + 1,
+            "evals": arrays[f"{side}_eigenvalues"][:, None],
+            "evecs": arrays[f"{side}_functions"],
+            "A": arrays[f"{side}_mass"][:, None],
+            "si_evals": arrays[f"{side}_si_eigenvalues"][:, None],
+            "si_evecs": arrays[f"{side}_si_functions"],
+            "file_index": arrays[f"{side}_file_index"][:, None].astype(np.float64) + 1,
+            "name": getattr(correspondence, side).name,
+        }
+        for name, side in (("S1", "source"), ("S2", "target"))
+    }
+    path = _ready(folder) / "match.mat"
+    maps = {
+        "C12": correspondence.functional_map,
+        "R": correspondence.rotation,
+        # MATLAB indexes with doubles.
+        "T12": arrays["target_of_source"][:, None].astype(np.float64) + 1,
+        "T21": arrays["source_of_target"][:, None].astype(np.float64) + 1,
+    }
+    scipy.io.savemat(path, {**shapes, **maps}, do_compression=True)
+    return [path]
+
+
+def pyfm_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
+    """Return the match in the names of pyFM, mesh 1 being the source and mesh 2 the target.
+
+    Returns
+    -------
+    dict with ``FM_12`` (k2, k1), which takes functions on 1 to functions on 2, ``p2p_21`` (n2,), the vertex of mesh 1
+    of each vertex of mesh 2, ``p2p_12`` (n1,), and ``evals1``, ``evects1`` (n1, k1), ``A1`` (n1,), the same for 2.
+    """
+    arrays = surface_arrays(correspondence)
+    rows, columns = correspondence.functional_map.shape
+    return {
+        "FM_12": arrays["functional_map"],
+        "p2p_21": arrays["source_of_target"],
+        "p2p_12": arrays["target_of_source"],
+        "evals1": arrays["source_eigenvalues"][:columns],
+        "evects1": arrays["source_functions"][:, :columns],
+        "A1": arrays["source_mass"],
+        "evals2": arrays["target_eigenvalues"][:rows],
+        "evects2": arrays["target_functions"][:, :rows],
+        "A2": arrays["target_mass"],
+    }
+
+
+def export_pyfm(correspondence: Correspondence, folder: str | Path) -> list[Path]:
+    """Write ``pyfm.npz`` with the arrays of `pyfm_arrays`."""
+    path = _ready(folder) / "pyfm.npz"
+    arrays: dict[str, Any] = dict(pyfm_arrays(correspondence))
+    np.savez_compressed(path, **arrays)
+    return [path]
+
+
+def to_pyfm(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.float64]]:
+    """Return the match as pyFM objects: mesh 1 (the source) and mesh 2 with their spectra set, and FM_12.
+
+    Raises
+    ------
+    InputError
+        pyFM is not installed.
+    """
+    try:
+        from pyFM.mesh import TriMesh
+    except ImportError as error:
+        raise InputError("pyFM is not installed; install it with: pip install pyfmaps") from error
+    import scipy.sparse
+
+    arrays = pyfm_arrays(correspondence)
+    meshes = []
+    for number, mesh in (("1", correspondence.source), ("2", correspondence.target)):
+        made = TriMesh(mesh.vertices, mesh.faces)
+        made.W = stiffness(mesh.vertices, mesh.faces)
+        made.A = scipy.sparse.diags(arrays[f"A{number}"], format="csc")
+        made.eigenvalues, made.eigenvectors = arrays[f"evals{number}"], arrays[f"evects{number}"]
+        meshes.append(made)
+    return meshes[0], meshes[1], arrays["FM_12"]
+
+
+def geomfum_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
+    """Return the match in the names of geomfum, shape a being the source and shape b the target.
+
+    Returns
+    -------
+    dict with ``fmap_matrix`` (spectrum_size_b, spectrum_size_a), ``p2p`` (n_vertices_b,), the vertex of a of each
+    vertex of b, and ``basis_a_vals``, ``basis_a_vecs``, ``mass_a``, the same for b.
+    """
+    arrays = pyfm_arrays(correspondence)
+    named = {"fmap_matrix": arrays["FM_12"], "p2p": arrays["p2p_21"]}
+    for letter, number in (("a", "1"), ("b", "2")):
+        named[f"basis_{letter}_vals"] = arrays[f"evals{number}"]
+        named[f"basis_{letter}_vecs"] = arrays[f"evects{number}"]
+        named[f"mass_{letter}"] = arrays[f"A{number}"]
+    return named
+
+
+def export_geomfum(correspondence: Correspondence, folder: str | Path) -> list[Path]:
+    """Write ``geomfum.npz`` with the arrays of `geomfum_arrays`."""
+    path = _ready(folder) / "geomfum.npz"
+    arrays: dict[str, Any] = dict(geomfum_arrays(correspondence))
+    np.savez_compressed(path, **arrays)
+    return [path]
+
+
+def to_geomfum(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.float64]]:
+    """Return the match as geomfum objects: shape a (the source) and shape b with their bases set, and fmap_matrix.
+
+    Raises
+    ------
+    InputError
+        geomfum is not installed.
+    """
+    try:
+        from geomfum.basis import LaplaceEigenBasis
+        from geomfum.shape import TriangleMesh
+    except ImportError as error:
+        raise InputError("geomfum is not installed; install it with: pip install geomfum") from error
+    import scipy.sparse
+
+    arrays = geomfum_arrays(correspondence)
+    made = []
+    for letter, mesh in (("a", correspondence.source), ("b", correspondence.target)):
+        shape = TriangleMesh(mesh.vertices, mesh.faces)
+        shape.laplacian.stiffness_matrix = stiffness(mesh.vertices, mesh.faces)
+        shape.laplacian.mass_matrix = scipy.sparse.diags(arrays[f"mass_{letter}"], format="csc")
+        shape.basis = LaplaceEigenBasis(shape, arrays[f"basis_{letter}_vals"], arrays[f"basis_{letter}_vecs"])
+        made.append(shape)
+    return made[0], made[1], arrays["fmap_matrix"]
+
+
+FORMATS: dict[str, Callable[[Correspondence, str | Path], list[Path]]] = {
+    "ply": export_ply,
+    "obj": export_obj,
+    "vts": export_vts,
+    "map": export_map,
+    "numpy": export_numpy,
+    "matlab": export_matlab,
+    "pyfm": export_pyfm,
+    "geomfum": export_geomfum,
+}
+"""The functions that write a match into a folder, by the name of the format."""
+
+
+def _ready(folder: str | Path) -> Path:
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _checkers() -> NDArray[np.uint8]:
+    place = (np.arange(_TEXTURE_SIZE) + 0.5) / _TEXTURE_SIZE
+    across, height = np.meshgrid(place, 1.0 - place)
+    points = np.stack([across, height, np.full_like(across, 0.5)], axis=-1).reshape(-1, 3)
+    colours = position_colours(points, np.eye(3)).reshape(_TEXTURE_SIZE, _TEXTURE_SIZE, 3)
+    dark = (np.floor(across * _TEXTURE_SQUARES) + np.floor(height * _TEXTURE_SQUARES)) % 2 == 0
+    return np.rint(255 * np.where(dark[..., None], 0.62 * colours, colours)).astype(np.uint8)

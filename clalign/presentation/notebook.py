@@ -1,0 +1,33 @@
+"""How a result shows itself in a notebook."""
+
+from __future__ import annotations
+
+import base64
+import html
+import math
+
+from clalign.correspondence import Correspondence
+from clalign.presentation.picture import match_png
+
+_ROW = '<tr><th style="text-align:left">{}</th><td style="text-align:left">{}</td></tr>'
+
+
+def notebook_html(correspondence: Correspondence) -> str:
+    """Return a fragment of HTML with the picture of a match and what to know before trusting it."""
+    source, target = correspondence.source, correspondence.target
+    rows = [
+        ("source", f"{source.name}, {source.n_vertices:,} vertices"),
+        ("target", f"{target.name}, {target.n_vertices:,} vertices"),
+        ("confidence", f"{correspondence.confidence:.2f} of 1"),
+        ("orientation kept", f"{correspondence.orientation:+.2f}"),
+        ("device", correspondence.device),
+        ("time", f"{math.fsum(correspondence.timings.values()):.1f} s"),
+    ]
+    rows += [("warning", text) for text in correspondence.warnings]
+    table = "".join(_ROW.format(html.escape(name), html.escape(value)) for name, value in rows)
+    picture = base64.b64encode(match_png(correspondence, height=360)).decode("ascii")
+    caption = html.escape(f"{source.name} and {target.name}, coloured alike where they match")
+    return (
+        f'<div><img alt="{caption}" src="data:image/png;base64,{picture}" style="max-width:100%">'
+        f"<table>{table}</table></div>"
+    )
