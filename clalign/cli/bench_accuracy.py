@@ -1,4 +1,4 @@
-"""``clalign bench humans|animals|faust``: errors of maps over all pairs of a data set."""
+"""``clalign bench humans|animals|faust|robustness``: errors of maps over all pairs of a data set."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ curve.png. Run the same command again to go on after an interruption; pairs that
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add ``humans``, ``animals`` and ``faust``."""
+    """Add ``humans``, ``animals``, ``faust`` and ``robustness``."""
     humans = _add(subparsers, "humans", "posed humans, or any folder in their layout", run_humans)
     humans.add_argument("path", metavar="PATH", type=Path, help="folder of meshes, or of such folders")
     humans.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
@@ -38,6 +38,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="'intra' (first pose of each subject with its others, default), 'inter', or a pairs file",
     )
     faust.set_defaults(methods="paper,paper-cycle,paper-heat-kernel,default")
+    robustness = _add(subparsers, "robustness", "meshes against changed copies of themselves", run_robustness)
+    robustness.add_argument("path", metavar="PATH", type=Path, help="folder of meshes")
+    robustness.add_argument(
+        "--changes",
+        metavar="NAMES",
+        default="noise,half,rotated,times-1000,times-0.001",
+        help="comma-separated; also: normal-noise, subdivided (default: %(default)s)",
+    )
 
 
 def _add(
@@ -68,6 +76,7 @@ def _add(
     parser.add_argument("--device", metavar="SPEC", help="as of 'clalign match'")
     parser.add_argument("--limit", metavar="N", type=int, help="only the first N pairs of each suite")
     parser.add_argument("--jobs", metavar="N", type=int, default=1, help="processes with one thread each (default: 1)")
+    parser.add_argument("--fresh", action="store_true", help="compute pairs again that pairs.csv has already")
     parser.add_argument("--points", metavar="N", type=int, help="points measured a pair (default: 500)")
     parser.add_argument("--distances", metavar="METHOD", default="heat", help="'heat' (default) or 'bounded'")
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="seed of the match and the points")
@@ -102,6 +111,13 @@ def run_faust(args: argparse.Namespace) -> int:
     return _bench(faust(args.root, args.pairs), args)
 
 
+def run_robustness(args: argparse.Namespace) -> int:
+    """Run all meshes of a folder against changed copies."""
+    from clalign.evaluation.robustness import robustness
+
+    return _bench(robustness(args.path, [change.strip() for change in args.changes.split(",")]), args)
+
+
 def _bench(layouts: Sequence[Layout], args: argparse.Namespace) -> int:
     """Run, show a line a pair, write the summary; 1 when a pair has no map."""
     from clalign.errors import OptionError
@@ -123,6 +139,7 @@ def _bench(layouts: Sequence[Layout], args: argparse.Namespace) -> int:
             args.out,
             jobs=args.jobs,
             measurement=Measurement(args.points, args.seed, args.distances),
+            resume=not args.fresh,
             progress=lambda count, total, record: terminal.note(f"{count}/{total} {progress_line(record)}"),
         )
     except KeyboardInterrupt:

@@ -147,7 +147,7 @@ def summary_rows(evaluation: Evaluation) -> list[tuple[str, str]]:
             f"{evaluation.points.size} measured, {evaluation.unmatched} unmatched, {evaluation.skipped} skipped",
         ),
         ("distances", f"{evaluation.method}; diameter {evaluation.diameter:.3f} sqrt(area)"),
-        ("mean error", f"{100 * area['mean']:.3f} / 100 sqrt(area), {100 * diameter['mean']:.3f} % of the diameter"),
+        ("mean error", f"{100 * area['mean']:.3f} x 100 / sqrt(area), {100 * diameter['mean']:.3f} % of the diameter"),
         ("quantiles", ", ".join(f"{q} % {100 * area[f'q{q}']:.3f}" for q in (50, 75, 90, 95, 99))),
         ("largest", f"{100 * area['max']:.3f}"),
         ("exact", f"{evaluation.exact:.1%}"),
@@ -163,7 +163,7 @@ def summary_rows(evaluation: Evaluation) -> list[tuple[str, str]]:
         rows.append(("sub-vertex", f"mean {100 * evaluation.subvertex_mean:.3f}"))
     quality = evaluation.quality
     rows.append(("coverage", f"{quality.covered_vertices:.1%} of the vertices, {quality.covered_area:.1%} of the area"))
-    rows.append(
-        ("smoothness", f"Dirichlet energy {quality.dirichlet:.3f}, edge stretch {quality.stretch:.3f} (1: isometry)")
-    )
+    if quality.dirichlet is not None and quality.stretch is not None:
+        isometry = f"Dirichlet energy {quality.dirichlet:.3f}, edge stretch {quality.stretch:.3f} (1: isometry)"
+        rows.append(("smoothness", isometry))
     return rows

@@ -6,6 +6,7 @@ Lengths are in units of sqrt(area of the target); meshes are scaled to unit area
 from __future__ import annotations
 
 import csv
+import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,20 +123,34 @@ class Evaluation:
         }
 
     def write_json(self, path: str | Path) -> None:
-        """Write `as_dict` to a file."""
-        Path(path).write_text(json.dumps(self.as_dict(), indent=1) + "\n", encoding="utf-8")
+        """Write `as_dict` to a file; raises `ResultError` when that fails."""
+        _write_text(path, json.dumps(self.as_dict(), indent=1) + "\n")
 
     def write_csv(self, path: str | Path) -> None:
-        """Write one line a measured point: line of the truth, error, mirrored and sub-vertex error where known."""
+        """Write one line a measured point: line of the truth, error, mirrored and sub-vertex error where known.
+
+        Raises
+        ------
+        ResultError
+            The file cannot be written.
+        """
         columns: dict[str, NDArray[Any]] = {"point": self.points, "error": self.errors}
         if self.mirrored_errors is not None:
             columns["mirrored_error"] = self.mirrored_errors
         if self.subvertex_errors is not None:
             columns["subvertex_error"] = self.subvertex_errors
-        with Path(path).open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(columns)
-            writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+        _write_text(path, text.getvalue())
+
+
+def _write_text(path: str | Path, text: str) -> None:
+    try:
+        Path(path).write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise ResultError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def error_curve(errors: NDArray[np.float64]) -> NDArray[np.float64]:

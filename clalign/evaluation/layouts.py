@@ -11,7 +11,7 @@ from pathlib import Path
 
 from clalign.errors import ResultError
 
-from .pairs import Pair, TruthFiles
+from .pairs import BenchmarkPair, Pair, TruthFiles
 
 MESH_SUFFIXES = (".ply", ".off", ".obj", ".stl")
 FAUST_MESHES = 100
@@ -30,7 +30,7 @@ class Layout:
     """
 
     name: str
-    pairs: tuple[Pair, ...]
+    pairs: tuple[BenchmarkPair, ...]
     problems: tuple[str, ...]
 
     def limited(self, limit: int | None) -> Layout:
@@ -122,6 +122,21 @@ def faust(root: str | Path, pairs: str | Path = "intra") -> tuple[Layout, ...]:
         truths = {name: TruthFiles("lines", corres / f"{name}.vts", None, _mirror_file(folder)) for name in meshes}
     layout = _layout(f"{folder.name}/{label}", meshes, names, truths, shuffle=corres is None)
     return (dataclasses.replace(layout, problems=_absent_registrations(meshes) + layout.problems),)
+
+
+def mesh_files(path: str | Path) -> tuple[Path, dict[str, Path]]:
+    """Return a folder and the mesh files in it by stem.
+
+    Raises
+    ------
+    ResultError
+        There is no such folder, or no mesh in it.
+    """
+    folder = _existing_folder(path)
+    meshes = _meshes(folder)
+    if not meshes:
+        raise ResultError(f"{folder}: no mesh file here ({', '.join(MESH_SUFFIXES)})")
+    return folder, meshes
 
 
 def read_pairs_file(path: str | Path) -> list[tuple[str, str]]:

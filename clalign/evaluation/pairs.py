@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 from clalign.errors import ResultError
 from clalign.geometry.mesh import Mesh, load_mesh
@@ -64,6 +64,17 @@ class Problem:
     target: Mesh
     truth: Truth
     mirrored: Truth | None
+
+
+class BenchmarkPair(Protocol):
+    """What a benchmark runs: something with a name, unique in its suite, that can be loaded."""
+
+    @property
+    def name(self) -> str:
+        """Name of the pair."""
+
+    def load(self) -> Problem:
+        """Read the meshes and the truth."""
 
 
 @dataclass(frozen=True)

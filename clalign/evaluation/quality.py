@@ -20,13 +20,14 @@ class MapQuality:
     dirichlet : Dirichlet energy ½ Σ_k f_kᵀ W f_k of the map as a function into space, f = coordinates of the
         matches, divided by the source's area; 1 for an isometry, larger for a map that tears.
     stretch : mean over the source's edges of the distance between the matches of their ends, divided by the edge's
-        length; 1 for an isometry up to the targets' vertices being discrete.
+        length; 1 for an isometry up to the targets' vertices being discrete. Both are None where no face is matched
+        as a whole.
     """
 
     covered_vertices: float
     covered_area: float
-    dirichlet: float
-    stretch: float
+    dirichlet: float | None
+    stretch: float | None
 
 
 def map_quality(source: Mesh, target: Mesh, target_of_source: NDArray[np.int64]) -> MapQuality:
@@ -35,7 +36,7 @@ def map_quality(source: Mesh, target: Mesh, target_of_source: NDArray[np.int64])
     mass = lumped_mass(target.vertices, target.faces)
     corners = source.faces[(target_of_source[source.faces] >= 0).all(axis=1)]
     if not corners.size:
-        return MapQuality(hit.size / target.n_vertices, float(mass[hit].sum() / mass.sum()), np.nan, np.nan)
+        return MapQuality(hit.size / target.n_vertices, float(mass[hit].sum() / mass.sum()), None, None)
     used, local = np.unique(corners, return_inverse=True)
     faces = local.reshape(corners.shape).astype(np.int32)
     points = source.vertices[used]

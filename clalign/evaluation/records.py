@@ -118,7 +118,10 @@ class RecordFile:
     """
 
     def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ResultError(f"{folder}: cannot make this folder ({error.strerror})") from error
         self._records = folder / RECORDS_FILE
         self._curves = folder / CURVES_FILE
 

@@ -7,6 +7,7 @@ import logging
 import multiprocessing
 import os
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -22,7 +23,7 @@ from .distances import DistanceMethod
 from .errors import evaluate
 from .layouts import Layout
 from .methods import Method
-from .pairs import Pair
+from .pairs import BenchmarkPair
 from .records import Key, Record, RecordFile, failed_record, record_of
 
 logger = logging.getLogger(__name__)
@@ -58,7 +59,7 @@ class Task:
     """One pair for one method."""
 
     suite: str
-    pair: Pair
+    pair: BenchmarkPair
     method: Method
     measurement: Measurement
 
@@ -84,6 +85,7 @@ def run(
     *,
     jobs: int = 1,
     measurement: Measurement | None = None,
+    resume: bool = True,
     progress: Progress | None = None,
 ) -> Run:
     """Run every method on every pair and append one row each to ``pairs.csv`` in `folder`.
@@ -98,6 +100,7 @@ def run(
     folder : for ``pairs.csv`` and ``curves.csv``.
     jobs : processes, each with one thread and its own OpenCL context; 1 works in this process.
     measurement : how errors are measured.
+    resume : False computes every pair anew, for a program that changed under the same settings.
     progress : called after every pair with the number done, the number of all and the record.
 
     Raises
@@ -115,7 +118,7 @@ def run(
     how = measurement or Measurement()
     tasks = [Task(layout.name, pair, method, how) for layout in layouts for pair in layout.pairs for method in methods]
     file = RecordFile(Path(folder))
-    done = {record.key: record for record in file.read() if not record.failed}
+    done = {record.key: record for record in file.read() if resume and not record.failed}
     waiting = [task for task in tasks if task.key not in done]
     count = len(tasks) - len(waiting)
     logger.info("%d pairs, %d of them already in %s", len(tasks), count, folder)
@@ -189,15 +192,19 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     # Forking would copy an open OpenCL context, which hangs in the child.
     context = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory(prefix="clalign-kernels-", ignore_cleanup_errors=True) as kernels:
-        pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_own_kernel_cache, initargs=(kernels,))
+        pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker, initargs=(kernels,))
         try:
             yield pool
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _own_kernel_cache(folder: str) -> None:
-    """Give the worker its own cache of compiled kernels: PoCL's breaks when several processes write to it."""
+def _prepare_worker(folder: str) -> None:
+    """Silence warnings, which the rows tell of, and give the worker its own cache of compiled kernels.
+
+    PoCL's breaks when several processes write to it.
+    """
+    warnings.simplefilter("ignore")
     own = Path(folder) / str(os.getpid())
     own.mkdir()
     os.environ["POCL_CACHE_DIR"] = str(own)

@@ -76,6 +76,10 @@ def test_evaluate_with_an_index_file(files: Path, capsys: pytest.CaptureFixture[
         (["true.txt", "--source", "x.off", "--target", "y.off", "--truth", "x.vts"], "looks 1-based"),
         (["true.txt", "--source", "x.off", "--target", "y.off", "--truth", "a", "b", "c"], "one file or two"),
         (["true.txt", "--source", "x.off", "--target", "y.off", "--truth", "identity", "--points", "0"], "points"),
+        (
+            ["true.txt", "--source", "x.off", "--target", "y.off", "--truth", "identity", "--csv", "no/e.csv"],
+            "no/e.csv",
+        ),
     ],
 )
 def test_evaluate_says_what_is_wrong(
@@ -163,6 +167,7 @@ def test_bench_animals_when_interrupted(
         (["--distances", "exact"], "--distances must be one of heat, bounded"),
         (["--jobs", "0"], "jobs must be at least 1"),
         (["--pairs", "none.txt"], "no pairs file"),
+        (["--out", __file__], "cannot make this folder"),
     ],
 )
 def test_bench_says_what_is_wrong(

@@ -133,6 +133,7 @@ def test_vertices_off_the_surface_are_skipped(bumpy_mesh: Mesh) -> None:
     assert (result.skipped, result.unmatched) == (2, 0)
     index[1:4] = -1
     partial = evaluate(index, truth, source=padded, target=plain)
+    assert partial.quality.covered_vertices == pytest.approx(1 - 3 / n)
     assert (partial.skipped, partial.unmatched, partial.points.size) == (2, 3, n - 3)
 
 
@@ -175,6 +176,16 @@ def test_which_points_are_measured(bumpy_mesh: Mesh) -> None:
     assert not np.array_equal(first.points, other.points)
     np.testing.assert_array_equal(chosen.errors, first.errors)
     assert np.unique(first.points).size == 50
+
+
+def test_a_map_of_single_vertices_has_no_smoothness(bumpy_mesh: Mesh) -> None:
+    n = bumpy_mesh.n_vertices
+    index = np.full(n, -1)
+    index[7] = 7
+    result = evaluate(index, Truth.identity(n), source=bumpy_mesh, target=bumpy_mesh, points=n)
+    assert (result.points.size, result.unmatched, result.mean) == (1, n - 1, 0.0)
+    assert result.quality.dirichlet is None
+    json.dumps(result.as_dict(), allow_nan=False)
 
 
 def test_curve_and_area() -> None:

@@ -65,6 +65,8 @@ def test_a_second_run_computes_nothing(layouts: tuple[Layout, ...], tmp_path: Pa
     again = run(layouts, [method], tmp_path / "out")
     assert len(log.read_text(encoding="ascii").splitlines()) == 3
     assert [row.key for row in again.records] == [row.key for row in first.records]
+    run(layouts, [method], tmp_path / "out", resume=False)
+    assert len(log.read_text(encoding="ascii").splitlines()) == 6
 
 
 @pytest.mark.parametrize("change", ["settings", "points"])
