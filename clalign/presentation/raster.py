@@ -145,7 +145,7 @@ def _visible_faces(
     spans = np.maximum(high - low, 0)
     counts = spans.prod(axis=1)
     depths = points[:, 2] - points[:, 2].min(initial=0.0)
-    depths *= (_DEPTH_LEVELS - 1) / max(depths.max(initial=0.0), 1e-300)
+    depths *= (_DEPTH_LEVELS - 1) / (depths.max(initial=0.0) or 1.0)
     corner_depths = depths[faces]
     order = np.flatnonzero(counts)
     block_of = np.cumsum(counts[order]) // _BLOCK

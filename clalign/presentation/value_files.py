@@ -88,7 +88,7 @@ def write_values(path: str | Path, values: NDArray, mesh: Mesh) -> None:
 
 def _colours_of(values: NDArray) -> NDArray[np.float64]:
     rows = np.asarray(values, dtype=np.float64)
-    known: NDArray[np.bool_] = np.isfinite(rows.reshape(len(rows), -1)).all(axis=1)
+    known = np.asarray(np.isfinite(rows.reshape(len(rows), -1)).all(axis=1))
     if not known.any():
         raise InputError("no vertex has a value to be shown as a colour")
     if rows.ndim == 1:

@@ -52,7 +52,7 @@ def show(
         on_target = np.asarray(scalars, dtype=np.float64)
         on_source = np.where(to_target.matched, to_target.pull(on_target), np.nan)
     turned = view @ map_turn(source.vertices, target.vertices, to_target)
-    plotter = pyvista.Plotter(shape=(1, 2), off_screen=screenshot is not None, window_size=(1400, 800))
+    plotter: Any = pyvista.Plotter(shape=(1, 2), off_screen=screenshot is not None, window_size=[1400, 800])
     for column, (mesh, axes, values) in enumerate(((source, turned, on_source), (target, view, on_target))):
         plotter.subplot(0, column)
         plotter.set_background("white")
