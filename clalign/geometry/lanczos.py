@@ -41,6 +41,8 @@ FIRST_CHECK = 2.25
 CAPACITY = 6.0
 #: Residual, relative to the eigenvalue plus the mean distance between eigenvalues, at which a pair has converged.
 CONVERGED = 1e-9
+#: What rounding leaves of any residual, relative to the norm of the matrix, which slivers can make very large.
+ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
 #: Relative difference of an eigenvalue between two slices that have it both.
 AGREEMENT = 1e-8
 #: Allowed distance of a shift from the middle of its slice, in slices, in each round of placing it.
@@ -162,6 +164,7 @@ def _slice(matrix: sparse.csc_matrix, factor: _Factors, first: int, end: int, un
     wanted = below + above
     size = matrix.shape[0]
     capacity = min(_blocks(CAPACITY * wanted + 8 * BLOCK), (size // BLOCK - 1) * BLOCK)
+    rounding = ROUNDING * float(abs(matrix).sum(axis=0).max())
     basis = _Basis(factor.solve, size, capacity)
     target = min(_blocks(FIRST_CHECK * wanted + 4 * BLOCK), capacity)
     while True:
@@ -171,8 +174,8 @@ def _slice(matrix: sparse.csc_matrix, factor: _Factors, first: int, end: int, un
         index = np.concatenate(chosen)
         inverse, vectors = inverse[index], vectors[:, index]
         values = factor.shift + 1.0 / inverse
-        residuals = basis.residuals(matrix, factor.shift, inverse, vectors) / (np.abs(values) + unit)
-        open_pairs = int(np.count_nonzero(~(residuals <= CONVERGED)))
+        residuals = basis.residuals(matrix, factor.shift, inverse, vectors)
+        open_pairs = int(np.count_nonzero(~(residuals <= CONVERGED * (np.abs(values) + unit) + rounding)))
         logger.debug("slice %d:%d, basis %d: %d pairs open", first, end, basis.used, open_pairs)
         if not open_pairs:
             break
@@ -180,7 +183,12 @@ def _slice(matrix: sparse.csc_matrix, factor: _Factors, first: int, end: int, un
             raise ConvergenceError(f"{open_pairs} of the eigenpairs {first} to {end} did not converge")
         target = min(basis.used + _blocks(0.2 * wanted), capacity)
     order = np.argsort(values, kind="stable")
-    return _Slice(factor.below - below, values[order], vectors[:, order].T @ basis.rows[: basis.used])
+    rows = vectors[:, order].T @ basis.rows[: basis.used]
+    if rounding > CONVERGED * unit:
+        # One more multiplication takes out the rounding errors in directions that the matrix amplifies.
+        rows = np.ascontiguousarray(factor.solve(rows.T).T)
+        rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    return _Slice(factor.below - below, values[order], rows)
 
 
 class _Basis:
@@ -237,7 +245,7 @@ def _normalised(block: Array) -> tuple[Array, Array]:
     """Return Q and R with ``block.T = Q.T @ R``, Q having orthonormal rows."""
     lower: Array = np.zeros((len(block), len(block)), dtype=np.float64)
     with contextlib.suppress(np.linalg.LinAlgError):
-        lower = np.linalg.cholesky(block @ block.T)
+        lower[:] = np.linalg.cholesky(block @ block.T)
     if lower.diagonal().min() > 1e-6 * lower.diagonal().max():
         return scipy.linalg.solve_triangular(lower, block, lower=True, check_finite=False), lower.T
     q, r = scipy.linalg.qr(block.T, mode="economic", check_finite=False)

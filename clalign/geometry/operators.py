@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .spectra import Spectrum
 
 #: A face whose doubled area is below this fraction of its longest squared edge counts as having that area.
-SLIVER = 1e-6
+SLIVER = 1e-5
 #: A vertex area below this fraction of the mean one is raised to it, so that the mass matrix can be inverted.
 SMALLEST_MASS = 1e-8
 #: Diffusion time of the "heat-kernel" metric in units of the surface area.
