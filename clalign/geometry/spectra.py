@@ -44,6 +44,12 @@ class Spectrum:
         """Number of eigenpairs."""
         return len(self.eigenvalues)
 
+    def head(self, count: int, signs: NDArray[np.float64] | None = None) -> Spectrum:
+        """Return the first `count` eigenpairs, the functions multiplied by `signs` (count,) if given."""
+        functions = self.functions[:, :count]
+        kept = functions.copy() if signs is None else functions * signs
+        return Spectrum(self.eigenvalues[:count], np.ascontiguousarray(kept), self.mass)
+
 
 def solve(
     stiffness: sparse.csr_matrix,
