@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,10 +127,9 @@ def run_job(
     check_destination(args.out, FACTS_FILE, force=force)
     source, target = load_mesh(source_path), load_mesh(target_path)
     truths = truths_of(source, target)
+    terminal.note(f"device: {_device(options)}")
     for role, mesh in (("source", source), ("target", target)):
         terminal.note(f"{role}: {mesh.path}, {mesh.n_vertices:,} vertices, {mesh.n_faces:,} faces")
-        for line in mesh.notes:
-            terminal.note(f"  {line}")
 
     result = _matched(source, target, options, args, terminal)
     evaluation = None
@@ -141,15 +142,31 @@ def run_job(
     return 0
 
 
+def _device(options: Options) -> str:
+    """Return the device that the match will use, found before the long work so that a missing one is told at once."""
+    if options.engine.backend == "reference":
+        return "numpy, double precision"
+    from clalign.engine.device_choice import choose_device, list_devices, wanted_device
+
+    return choose_device(wanted_device(options.engine.device), list_devices()).label
+
+
 def _matched(
     source: Mesh, target: Mesh, options: Options, args: argparse.Namespace, terminal: Terminal
 ) -> Correspondence:
+    """Match, and show each warning once: those that a user should read are raised and kept in the result, too."""
     import clalign
+    from clalign.errors import ClalignWarning
     from clalign.geometry.cache import ShapeCache
 
     cache = None if args.no_cache else ShapeCache()
-    with terminal.progress() as progress:
-        return clalign.match(source, target, options, progress=progress, cache=cache)
+    with warnings.catch_warnings(record=True) as seen, terminal.progress() as progress:
+        warnings.simplefilter("always", ClalignWarning)
+        result = clalign.match(source, target, options, progress=progress, cache=cache)
+    raised = [str(warning.message) for warning in seen if issubclass(warning.category, ClalignWarning)]
+    for message in dict.fromkeys([*result.warnings, *raised]):
+        terminal.warn(message)
+    return result
 
 
 def _extra_files(
@@ -188,25 +205,30 @@ def _drawn(draw: Callable[[Path], None], path: Path, terminal: Terminal) -> None
 
 
 def _show_summary(result: Correspondence, evaluation: Evaluation | None, folder: Path, terminal: Terminal) -> None:
-    for warning in result.warnings:
-        terminal.warn(warning)
     stages = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in result.timings.items())
     losses = ", ".join(f"{name} {value:.4g}" for name, value in result.losses.items())
     rows = [
         ("device", result.device),
         ("timings", stages),
         ("losses", losses),
-        ("confidence", f"{result.confidence:.2f} of 1; orientation kept {result.orientation:+.2f} (1: everywhere)"),
+        ("confidence", f"{result.confidence:.2f} of 1{_orientation(result.orientation)}"),
     ]
     if evaluation is not None:
         rows += _error_rows(evaluation)
-    rows.append(("result", f"{folder}/"))
+    page = f", open {folder / REPORT_FILE} in a browser" if (folder / REPORT_FILE).is_file() else ""
+    rows.append(("result", f"{folder}{page}"))
     for line in table(rows, indent=""):
         terminal.say(line)
     document = {"folder": str(folder), **result.facts()}
     if evaluation is not None:
         document["evaluation"] = evaluation.as_dict()
     terminal.document(document)
+
+
+def _orientation(value: float) -> str:
+    if math.isnan(value):
+        return ""
+    return f"; orientation {value:+.2f} (+1 kept everywhere, -1 mirrored)"
 
 
 def _error_rows(evaluation: Evaluation) -> list[tuple[str, str]]:

@@ -57,7 +57,14 @@ def test_summary_goes_to_stdout_and_progress_to_stderr(
     shown = capsys.readouterr()
     for word in ("device", "timings", "confidence", "error", "mean 0.000", "exact 100.0%", str(tmp_path / "out")):
         assert word in shown.out
-    for word in ("bumpy-source.off", "642 vertices", "alignment", "loss", "warning: a warning with an umlaut: ü"):
+    for word in (
+        "device: 0:0",
+        "bumpy-source.off",
+        "642 vertices",
+        "alignment",
+        "loss",
+        "warning: a warning with an umlaut: ü",
+    ):
         assert word in shown.err
     assert "\x1b" not in shown.out + shown.err
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES | {"evaluation.json"}
@@ -104,6 +111,17 @@ def test_named_arguments_and_set_reach_the_options(
         }
     )
     assert perfect == [expected]
+
+
+@pytest.mark.usefixtures("perfect")
+def test_missing_device_is_told_before_the_match(
+    tmp_path: Path, bumpy_files: tuple[Path, ...], perfect: list[Options], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments(bumpy_files, tmp_path / "out", "--device", "abacus")) == 1
+    errors = capsys.readouterr().err
+    assert "no OpenCL device matches 'abacus'; there are: 0:0" in errors
+    assert "clalign doctor" in errors
+    assert perfect == []
 
 
 def test_device_reference_is_the_numpy_backend(
