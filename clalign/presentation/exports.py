@@ -277,6 +277,7 @@ def to_geomfum(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.flo
     """
     try:
         from geomfum.basis import LaplaceEigenBasis
+        from geomfum.operator import Laplacian
         from geomfum.shape import TriangleMesh
     except ImportError as error:
         raise InputError("geomfum is not installed; install it with: pip install geomfum") from error
@@ -286,9 +287,12 @@ def to_geomfum(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.flo
     made = []
     for letter, mesh in (("a", correspondence.source), ("b", correspondence.target)):
         shape = TriangleMesh(mesh.vertices, mesh.faces)
-        shape.laplacian.stiffness_matrix = stiffness(mesh.vertices, mesh.faces)
-        shape.laplacian.mass_matrix = scipy.sparse.diags(arrays[f"mass_{letter}"], format="csc")
-        shape.basis = LaplaceEigenBasis(shape, arrays[f"basis_{letter}_vals"], arrays[f"basis_{letter}_vecs"])
+        shape.laplacian = Laplacian(
+            shape=shape,
+            stiffness_matrix=stiffness(mesh.vertices, mesh.faces).tocsc(),
+            mass_matrix=scipy.sparse.diags(arrays[f"mass_{letter}"], format="csc"),
+        )
+        shape.set_basis(LaplaceEigenBasis(shape, arrays[f"basis_{letter}_vals"], arrays[f"basis_{letter}_vecs"]))
         made.append(shape)
     return made[0], made[1], arrays["fmap_matrix"]
 
