@@ -87,8 +87,7 @@ def sampled_factors(shape: Shape, options: AlignmentOptions) -> SampledFactors:
     else:
         wanted = min(options.samples, available)
         vertices = shape.geodesics.samples[:wanted].astype(np.int64)
-        nearest = np.argmin(shape.geodesics.distances[:wanted], axis=0)
-        weights = np.bincount(nearest, weights=shape.geodesics.weights, minlength=wanted)
+        weights = shape.geodesics.sample_weights(wanted)
     left = shape.factors.left[vertices]
     gram = left.T @ (weights[:, None] * left)
     triangle = np.linalg.cholesky(gram + 1e-12 * np.trace(gram) * np.eye(len(gram)))

@@ -1,0 +1,182 @@
+"""From two prepared shapes to R and the maps: search, up-sampling, closed form, optimisation, read-out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.alignment.funnel import funnel_band
+from clalign.alignment.maps import PointMaps
+from clalign.alignment.problem import AlignmentProblem, Evaluation
+from clalign.alignment.refine import (
+    ClosedForm,
+    closed_form_rotation,
+    unbanded_steps,
+    up_sampled,
+    vertex_maps,
+    wavelet_steps,
+)
+from clalign.alignment.rotation import StartingRotation, random_rotation
+from clalign.alignment.rounds import AlignedRotation, optimise_rotation, read_out
+from clalign.alignment.search import SearchResult, find_isometry
+from clalign.alignment.views import aligned_side, sampled_factors
+from clalign.engine.backend import Backend, Band
+from clalign.geometry.shape import Shape
+from clalign.geometry.spectra import Spectrum
+from clalign.options import Options
+
+Progress = Callable[[str, float, str], None]
+
+
+@dataclass(frozen=True)
+class AlignedPair:
+    """Everything that the alignment of two shapes found, in the compact vertex order of the meshes.
+
+    Attributes
+    ----------
+    maps : the final read-out.
+    alignment : R with its history and losses.
+    source_descriptors, target_descriptors : d eigenfunctions each, signs folded into the source's.
+    functional : (k, k) C of R (Eq. 11, 26).
+    search : the search's result; None with the paper's random start.
+    rivals : maps of the best different candidates.
+    timings : seconds a stage.
+    """
+
+    maps: PointMaps
+    alignment: AlignedRotation
+    source_descriptors: Spectrum
+    target_descriptors: Spectrum
+    functional: NDArray[np.float64]
+    search: SearchResult | None
+    rivals: tuple[PointMaps, ...]
+    timings: dict[str, float]
+
+
+@dataclass
+class Clock:
+    """Seconds spent in each stage, and a word to whoever watches."""
+
+    progress: Progress | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Callable[[float, str], None]]:
+        """Time a stage; yields a function that reports its fraction and a message."""
+        started = time.perf_counter()
+
+        def report(fraction: float, message: str = "") -> None:
+            if self.progress is not None:
+                self.progress(name, fraction, message)
+
+        report(0.0, "")
+        try:
+            yield report
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
+        report(1.0, "")
+
+
+def align_pair(source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock) -> AlignedPair:
+    """Find the correspondence of two prepared shapes.
+
+    Parameters
+    ----------
+    source, target : prepared with the same options.
+    clock : collects the timings.
+    """
+    count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
+    band = funnel_band(count, options.alignment)
+    found, closed, rivals = None, None, ()
+    if options.search.method == "random":
+        start = StartingRotation(np.ones(count), random_rotation(count, options.seed))
+    else:
+        with clock.stage("search") as report:
+            found = find_isometry(source, target, backend, options.search, lambda fraction: report(fraction, ""))
+        with clock.stage("up-sampling"):
+            maps = grown_maps(backend, source, target, found.functional, options)
+            rivals = tuple(
+                grown_maps(backend, source, target, rival, options)
+                for rival in found.rivals[: options.search.alternatives]
+            )
+        with clock.stage("closed form"):
+            closed = _closed_form(backend, source, target, maps, band, options)
+        start = closed.start
+    descriptors = source.descriptors.head(count, start.signs), target.descriptors.head(count)
+    with clock.stage("alignment") as report:
+        problem = bind(source, target, descriptors, band, backend, options)
+        alignment = _optimised(problem, start, closed, options, report)
+        functional = problem.functional_map(alignment.rotation)
+    maps = alignment.maps
+    if options.readout.steps:
+        with clock.stage("read-out"):
+            maps = unbanded_steps(backend, *descriptors, maps, options.readout.steps)
+    return AlignedPair(maps, alignment, *descriptors, functional, found, rivals, clock.seconds)
+
+
+def grown_maps(
+    backend: Backend, source: Shape, target: Shape, functional: NDArray[np.float64], options: Options
+) -> PointMaps:
+    """Return the vertex maps of a functional map from the search, up-sampled as the options say."""
+    if options.readout.refine == "none":
+        return vertex_maps(backend, source, target, functional)
+    functional = up_sampled(backend, source, target, functional, options.spectrum.refinement)
+    maps = vertex_maps(backend, source, target, functional)
+    if options.readout.refine == "wavelet":
+        maps = wavelet_steps(backend, source, target, maps, 2)
+    return maps
+
+
+def bind(
+    source: Shape,
+    target: Shape,
+    descriptors: tuple[Spectrum, Spectrum],
+    band: Band,
+    backend: Backend,
+    options: Options,
+) -> AlignmentProblem:
+    """Return the alignment problem of a pair."""
+    size = min(options.spectrum.basis, source.basis.count, target.basis.count)
+    return AlignmentProblem(
+        aligned_side(source, size, descriptors[0].functions, options.alignment),
+        aligned_side(target, size, descriptors[1].functions, options.alignment),
+        sampled_factors(source, options.alignment),
+        band,
+        backend,
+        options.alignment,
+    )
+
+
+def _closed_form(
+    backend: Backend, source: Shape, target: Shape, maps: PointMaps, band: Band, options: Options
+) -> ClosedForm:
+    """Return R from two closed-form steps: the second uses the maps that the first reads out."""
+    one_sided = options.alignment.sides == "one"
+    first = closed_form_rotation(backend, source.descriptors, target.descriptors, maps, band, one_sided)
+    return closed_form_rotation(backend, source.descriptors, target.descriptors, first.maps, band, one_sided)
+
+
+def _optimised(
+    problem: AlignmentProblem,
+    start: StartingRotation,
+    closed: ClosedForm | None,
+    options: Options,
+    report: Callable[[float, str], None],
+) -> AlignedRotation:
+    budget = max(1, options.alignment.rounds * options.alignment.iterations)
+    done = 0
+
+    def watch(number: int, evaluation: Evaluation) -> None:
+        nonlocal done
+        done += 1
+        report(min(done / budget, 1.0), f"round {number + 1}, loss {evaluation.total:.5f}")
+
+    alignment = optimise_rotation(problem, start.rotation, options.readout.readout, watch)
+    if closed is None or alignment.history:
+        return alignment
+    return replace(alignment, maps=read_out(problem, start.rotation, options.readout.readout))

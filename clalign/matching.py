@@ -1,0 +1,187 @@
+"""Matching two meshes: the one function that most users need."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import logging
+import platform
+import warnings as python_warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.alignment.maps import PointMaps
+from clalign.alignment.pipeline import AlignedPair, Clock, align_pair
+from clalign.correspondence import Alternative, Correspondence
+from clalign.engine import open_backend
+from clalign.engine.backend import Backend
+from clalign.errors import ClalignWarning, ConfidenceWarning
+from clalign.geometry.cache import ShapeCache
+from clalign.geometry.mesh import Mesh, as_mesh
+from clalign.geometry.shape import Shape, prepare_pair
+from clalign.options import Options
+
+LOG = logging.getLogger(__name__)
+
+LOW_CONFIDENCE = 0.15
+"""A best different map whose score is within this share of the chosen one's is worth a warning."""
+
+
+def match(
+    source: Any,
+    target: Any,
+    options: Options | None = None,
+    *,
+    progress: Callable[[str, float, str], None] | None = None,
+    cache: ShapeCache | None = None,
+) -> Correspondence:
+    """Find for every vertex of each mesh its match on the other one.
+
+    Parameters
+    ----------
+    source, target : a path, a ``trimesh.Trimesh``, a pair ``(vertices, faces)``, or a loaded `Mesh`; one connected
+        manifold surface each.
+    options : see `Options`; the default preset if None.
+    progress : called as ``progress(stage, fraction, message)``, fraction in [0, 1] of the stage.
+    cache : keeps what is computed of a single shape for later matches; None computes everything.
+
+    Returns
+    -------
+    Correspondence
+        Both maps in the vertex numbering of the input, the functional map C, R, and the aligned eigenfunctions.
+
+    Raises
+    ------
+    MeshError
+        A mesh cannot be read or has a defect that the method cannot work with; the message says what to do.
+    DeviceError
+        No usable OpenCL device (``engine.backend=reference`` needs none).
+    """
+    chosen = Options() if options is None else options
+    clock = Clock(progress)
+    with clock.stage("read"):
+        meshes = as_mesh(source, "source"), as_mesh(target, "target")
+    with clock.stage("prepare"):
+        shapes = prepare_pair(*meshes, chosen, cache)
+    with clock.stage("device"):
+        backend = open_backend(chosen.engine)
+    return match_shapes(*shapes, backend, chosen, clock)
+
+
+def match_shapes(
+    source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock | None = None
+) -> Correspondence:
+    """Match two prepared shapes on an open backend; see `match`."""
+    clock = Clock() if clock is None else clock
+    with np.errstate(over="ignore", under="ignore"):
+        pair = align_pair(source, target, backend, options, clock)
+    return _correspondence(source, target, pair, backend, options)
+
+
+def _correspondence(
+    source: Shape, target: Shape, pair: AlignedPair, backend: Backend, options: Options
+) -> Correspondence:
+    found = pair.search
+    confidence = 1.0 if found is None else 1.0 - float(np.exp(-found.confidence))
+    size = len(pair.functional)
+    forward, backward = _in_file_numbering(source.mesh, target.mesh, pair.maps)
+    return Correspondence(
+        source=source.mesh,
+        target=target.mesh,
+        target_of_source=forward,
+        source_of_target=backward,
+        functional_map=pair.functional,
+        rotation=pair.alignment.rotation,
+        source_basis=source.basis.head(size),
+        target_basis=target.basis.head(size),
+        source_descriptors=pair.source_descriptors,
+        target_descriptors=pair.target_descriptors,
+        history=pair.alignment.history,
+        losses=pair.alignment.losses,
+        confidence=confidence,
+        orientation=float("nan") if found is None else found.orientation,
+        distortion=local_distortion(source, target, pair.maps.target_of_source),
+        alternatives=_alternatives(source, target, pair),
+        timings=pair.timings,
+        warnings=_warnings(source.mesh, target.mesh, pair, confidence),
+        device=backend.name,
+        options=options,
+        versions=_versions(),
+    )
+
+
+def _in_file_numbering(source: Mesh, target: Mesh, maps: PointMaps) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the maps between the vertices of the files; −1 for vertices that are not on the surface."""
+    forward = np.full(source.file_count, -1, dtype=np.int64)
+    forward[source.file_index] = target.file_index[maps.target_of_source]
+    backward = np.full(target.file_count, -1, dtype=np.int64)
+    backward[target.file_index] = source.file_index[maps.source_of_target]
+    return forward, backward
+
+
+def local_distortion(source: Shape, target: Shape, target_of_source: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return for each source vertex the mean change of its distances to the farthest-point samples.
+
+    Distances on the target come from its low-rank factors, good to about 0.5 % of the diameter.
+
+    Returns
+    -------
+    (n_x,) float64, in units of sqrt(area).
+    """
+    rows = source.geodesics.rows
+    samples = source.geodesics.samples[: len(rows)]
+    weights = source.geodesics.sample_weights(len(rows))
+    left = target.factors.left
+    mapped = (left[target_of_source[samples]] @ target.factors.core) @ left.T
+    return np.asarray(weights @ np.abs(rows - mapped[:, target_of_source]), dtype=np.float64)
+
+
+def _alternatives(source: Shape, target: Shape, pair: AlignedPair) -> tuple[Alternative, ...]:
+    if pair.search is None:
+        return ()
+    found = pair.search
+    alternatives = []
+    for number, maps in enumerate(pair.rivals):
+        forward, backward = _in_file_numbering(source.mesh, target.mesh, maps)
+        alternatives.append(
+            Alternative(
+                forward,
+                backward,
+                score=found.rival_scores[number],
+                orientation=found.rival_orientations[number],
+                distance=found.rival_distances[number],
+            )
+        )
+    return tuple(alternatives)
+
+
+def _warnings(source: Mesh, target: Mesh, pair: AlignedPair, confidence: float) -> tuple[str, ...]:
+    """Return what a user has to know, and raise it as Python warnings too."""
+    messages = [f"{mesh.name}: {note}" for mesh in (source, target) for note in mesh.notes]
+    doubts = []
+    if pair.search is None:
+        doubts.append("no search was made (search.method=random), so the map may be mirrored or wrong")
+    elif confidence < LOW_CONFIDENCE:
+        doubts.append(
+            f"low confidence ({confidence:.2f}): a different map explains the shapes almost as well; "
+            "look at the picture, and ask for --alternatives 3 to see the rivals"
+        )
+    if pair.alignment.status == "interrupted":
+        messages.append("interrupted: the alignment was stopped early and its best point so far was kept")
+    for doubt in doubts:
+        python_warnings.warn(doubt, ConfidenceWarning, stacklevel=3)
+    if pair.alignment.status == "failed":
+        python_warnings.warn("the objective had no finite value", ClalignWarning, stacklevel=3)
+    return (*messages, *doubts)
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for name in ("clalign", "numpy", "scipy", "trimesh", "pyopencl", "nlopt", "potpourri3d"):
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed as a package"
+    return versions
