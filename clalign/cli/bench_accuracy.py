@@ -37,7 +37,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         default="intra",
         help="'intra' (first pose of each subject with its others, default), 'inter', or a pairs file",
     )
-    faust.set_defaults(methods="paper,paper-cycle,paper-heat-kernel,default")
+    faust.set_defaults(methods="paper,paper-cycle,paper-isometric,paper-heat-kernel,default")
     robustness = _add(subparsers, "robustness", "meshes against changed copies of themselves", run_robustness)
     robustness.add_argument("path", metavar="PATH", type=Path, help="folder of meshes")
     robustness.add_argument(
@@ -68,7 +68,7 @@ def _add(
         metavar="NAMES",
         default="default",
         help="comma-separated: default, fast, cycle, heat-kernel, one-sided, search-only, paper, paper-cycle, "
-        "paper-heat-kernel, paper-one-sided, pyfm (default: %(default)s)",
+        "paper-heat-kernel, paper-one-sided, paper-isometric, pyfm (default: %(default)s)",
     )
     parser.add_argument(
         "--set", metavar="GROUP.NAME=VALUE", action="append", default=[], dest="changes", help="change an option of all"

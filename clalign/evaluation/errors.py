@@ -19,6 +19,7 @@ from clalign.errors import ResultError
 from clalign.geometry.mesh import Mesh
 
 from .distances import METHODS, DistanceMethod, Distances
+from .numbering import compact_of_file
 from .quality import MapQuality, map_quality
 from .truth import Truth
 
@@ -304,7 +305,7 @@ def _compact_problem(
         mirrored.check_against(source.file_count, target.file_count)
         if mirrored.count != truth.count:
             raise ResultError(f"the mirrored truth has {mirrored.count} lines and the truth {truth.count}")
-    compact_source, compact_target = _compact_of_file(source), _compact_of_file(target)
+    compact_source, compact_target = compact_of_file(source), compact_of_file(target)
     matched = index[source.file_index]
     target_of_source = np.where(matched >= 0, compact_target[matched], -1)
     off = np.flatnonzero((matched >= 0) & (target_of_source < 0))
@@ -327,12 +328,6 @@ def _compact_problem(
         skipped=int(np.sum(~on_surface)),
         unmatched=int(np.sum(on_surface & ~has_match)),
     )
-
-
-def _compact_of_file(mesh: Mesh) -> NDArray[np.int64]:
-    compact = np.full(mesh.file_count, -1, dtype=np.int64)
-    compact[mesh.file_index] = np.arange(mesh.n_vertices)
-    return compact
 
 
 def _barycentric_at(

@@ -7,14 +7,18 @@ import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import OptionError
-from clalign.geometry.mesh import Mesh
 from clalign.options import Options
+
+from .pairs import Problem
+
+if TYPE_CHECKING:
+    from clalign.correspondence import Correspondence
 
 
 @dataclass(frozen=True)
@@ -47,8 +51,8 @@ class Method(Protocol):
     def settings(self) -> str:
         """Short text that differs when results may differ."""
 
-    def __call__(self, source: Mesh, target: Mesh) -> Outcome:
-        """Match one pair."""
+    def __call__(self, problem: Problem) -> Outcome:
+        """Match the source of a pair with its target; only a method that says so looks at the truth."""
 
 
 @dataclass(frozen=True)
@@ -65,24 +69,57 @@ class AlignMethod:
 
         return f"{clalign.__version__}-{digest(self.options.as_dict())}"
 
-    def __call__(self, source: Mesh, target: Mesh) -> Outcome:
+    def __call__(self, problem: Problem) -> Outcome:
         """Match one pair."""
         import clalign
 
         start = time.perf_counter()
-        result = clalign.match(source, target, self.options)
-        seconds = time.perf_counter() - start
-        barycentric = None
-        if result.source_faces is not None and result.source_barycentric is not None:
-            barycentric = (result.source_faces, result.source_barycentric)
-        return Outcome(
-            target_of_source=result.target_of_source,
-            seconds=seconds,
-            stages=result.timings,
-            confidence=result.confidence,
-            orientation=result.orientation,
-            barycentric=barycentric,
-        )
+        result = clalign.match(problem.source, problem.target, self.options)
+        return outcome_of(result, time.perf_counter() - start)
+
+
+@dataclass(frozen=True)
+class IsometricMethod:
+    """The study of Fig. 5 in which the shapes are made isometric: D_Y is D_X carried over by the truth."""
+
+    name: str
+    options: Options
+
+    @property
+    def settings(self) -> str:
+        """Version of the package and a digest of the options."""
+        import clalign
+
+        return f"{clalign.__version__}-isometric-{digest(self.options.as_dict())}"
+
+    def __call__(self, problem: Problem) -> Outcome:
+        """Match one pair with the target's distances taken from the source."""
+        from clalign.engine import open_backend
+        from clalign.geometry.shape import prepare_pair
+        from clalign.matching import match_shapes
+
+        from .isometric import with_distances_of
+
+        start = time.perf_counter()
+        source, target = prepare_pair(problem.source, problem.target, self.options, None)
+        carried = with_distances_of(target, source, problem.truth)
+        result = match_shapes(source, carried, open_backend(self.options.engine), self.options)
+        return outcome_of(result, time.perf_counter() - start)
+
+
+def outcome_of(result: Correspondence, seconds: float) -> Outcome:
+    """Return what a benchmark keeps of a result."""
+    barycentric = None
+    if result.source_faces is not None and result.source_barycentric is not None:
+        barycentric = (result.source_faces, result.source_barycentric)
+    return Outcome(
+        target_of_source=result.target_of_source,
+        seconds=seconds,
+        stages=result.timings,
+        confidence=result.confidence,
+        orientation=result.orientation,
+        barycentric=barycentric,
+    )
 
 
 #: Name, preset and changes of the methods that a benchmark can be asked for by name.
@@ -114,11 +151,13 @@ def named_methods(names: Sequence[str], changes: Mapping[str, Any]) -> list[Meth
     for name in names:
         if name == "pyfm":
             methods.append(PyfmMethod())
+        elif name == "paper-isometric":
+            methods.append(IsometricMethod(name, Options.preset("paper").replace(changes)))
         elif name in NAMED_OPTIONS:
             preset, own = NAMED_OPTIONS[name]
             methods.append(AlignMethod(name, Options.preset(preset).replace({**own, **changes})))
         else:
-            raise OptionError(f"unknown method {name!r}; there are {', '.join(NAMED_OPTIONS)}, pyfm")
+            raise OptionError(f"unknown method {name!r}; there are {', '.join(NAMED_OPTIONS)}, paper-isometric, pyfm")
     return methods
 
 

@@ -10,9 +10,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from clalign.errors import InputError
-from clalign.geometry.mesh import Mesh
 
 from .methods import Outcome, digest
+from .pairs import Problem
 
 INSTALL = "pip install pyfmaps==1.3.1"
 
@@ -39,7 +39,7 @@ class PyfmMethod:
         """Version of pyFM and a digest of the values above."""
         return f"pyfm-{_pyfm_version()}-{digest(asdict(self))}"
 
-    def __call__(self, source: Mesh, target: Mesh) -> Outcome:
+    def __call__(self, problem: Problem) -> Outcome:
         """Match one pair; pyFM's maps go from its second mesh to its first, so the target is the first.
 
         Raises
@@ -54,7 +54,7 @@ class PyfmMethod:
         start = time.perf_counter()
         first, second = (
             TriMesh(mesh.vertices.copy(), mesh.faces.astype(np.int64), area_normalize=True, center=True)
-            for mesh in (target, source)
+            for mesh in (problem.target, problem.source)
         )
         # Its optimiser and progress bars print; a benchmark's output is ours.
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -66,6 +66,7 @@ class PyfmMethod:
             refined = model.zoomout_refine(nit=(self.refined - self.size) // self.step, step=self.step)
             target_of_source = np.asarray(model.get_p2p(refined), dtype=np.int64)
         end = time.perf_counter()
+        source, target = problem.source, problem.target
         index = np.full(source.file_count, -1, dtype=np.int64)
         index[source.file_index] = target.file_index[target_of_source]
         stages = {"spectra": prepared - start, "fit": fitted - prepared, "zoomout": end - fitted}

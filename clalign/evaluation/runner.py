@@ -136,7 +136,7 @@ def measure(task: Task) -> tuple[Record, Curves]:
     """Load, match and evaluate one pair; whatever goes wrong becomes a failed record."""
     try:
         problem = task.pair.load()
-        outcome = task.method(problem.source, problem.target)
+        outcome = task.method(problem)
         evaluation = evaluate(
             outcome.target_of_source,
             problem.truth,

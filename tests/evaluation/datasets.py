@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from clalign.errors import InputError
 from clalign.evaluation.methods import Outcome
-from clalign.geometry.mesh import Mesh
+from clalign.evaluation.pairs import Problem
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 
@@ -81,7 +81,8 @@ class NearestMethod:
     log: str = ""
     settings: str = "1"
 
-    def __call__(self, source: Mesh, target: Mesh) -> Outcome:
+    def __call__(self, problem: Problem) -> Outcome:
+        source, target = problem.source, problem.target
         if self.log:
             with Path(self.log).open("a", encoding="ascii") as stream:
                 stream.write(f"{source.name} {target.name}\n")

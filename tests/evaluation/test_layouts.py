@@ -19,7 +19,7 @@ def names(layout: Layout) -> list[str]:
 def errors_of_nearest(pair: Pair) -> tuple[float, float | None]:
     """Match by the nearest vertex in space, which is right for these small bends up to an edge."""
     problem = pair.load()
-    outcome = datasets.NearestMethod()(problem.source, problem.target)
+    outcome = datasets.NearestMethod()(problem)
     result = evaluate(
         outcome.target_of_source, problem.truth, source=problem.source, target=problem.target, mirrored=problem.mirrored
     )
