@@ -1,20 +1,25 @@
 /* Dense and banded products: C (m, n) = scale * A (m, depth) B (depth, n), added to C when accumulate is set.
  *
  * One work-item owns `groups` x `panels` tiles of RT x W entries of C and runs over the depth in blocks of KB, so that one
- * panel of B stays in the first cache and the rows of A in the second. A is read through two strides, which covers its
- * transpose; B through the stride of a row and of a panel, which covers row-major B and B packed by pack_panels.
+ * panel of B and the rows of A stay in the first cache. A is read through the strides of a row group, a row and a step,
+ * which covers row-major A, its transpose and A packed by pack_tiles; B through the strides of a row and of a panel, which
+ * covers row-major B and B packed by pack_panels.
  * The order of summation does not depend on the launch, so results are bitwise reproducible.
  *
  * product:     launch (ceil(row groups / groups), ceil(column panels / panels), splits);
  *              a, b reals; ranges (column panels, 2) int or NULL: first and last + 1 depth with anything in that panel;
  *              c (splits, m, n): split s sums depth s * split_depth .. (s + 1) * split_depth - 1
- * pack_panels: launch (column panels); out (column panels, depth, W) = weight[t] * b[t rs + j cs], zero beyond column n
- * pack_tiles:  launch (tiles); out (tiles, depth, RT) likewise
+ * pack_panels: launch (column panels, ceil(depth / DP)); out (column panels, depth, W) = weight[t] b[t rs + j cs], zero
+ *              beyond column n; weight (depth) or NULL
+ * pack_tiles:  launch (tiles, ceil(depth / DP)); out (tiles, depth, RT) likewise
  * sum_splits:  launch (m n): c = scale * sum over splits of partial (splits, m n) [+ c]
  * numpy twins: clalign.engine.reference_arrays.ReferenceArrays.product, banded_product, weighted_gram
  */
 #ifndef KB
-#define KB 384 /* depth of a block */
+#define KB 128 /* depth of a block */
+#endif
+#ifndef DP
+#define DP 512 /* depth that one work-item packs */
 #endif
 
 #define WRITE(i)                                                    \
@@ -38,8 +43,8 @@
     }
 
 KERNEL void product(const int m, const int n, const int depth, const int groups, const int panels, const int split_depth,
-                    const real scale, const int accumulate, __global const real *restrict a, const int a_row,
-                    const int a_step, __global const real *restrict b, const int b_step, const long b_panel,
+                    const real scale, const int accumulate, __global const real *restrict a, const long a_group,
+                    const int a_row, const int a_step, __global const real *restrict b, const int b_step, const long b_panel,
                     __global const int *restrict ranges, __global real *restrict c)
 {
     const int group_count = (m + RT - 1) / RT, panel_count = (n + W - 1) / W;
@@ -58,7 +63,7 @@ KERNEL void product(const int m, const int n, const int depth, const int groups,
                 const int rows = min(RT, m - group * RT);
                 TILE_BEGIN(a_row, rows)
                 TILE_STEPS(__global, b + panel * b_panel + (size_t)first * b_step, b_step,
-                           a + (size_t)group * RT * a_row + (size_t)first * a_step, a_step, last - first)
+                           a + group * a_group + (size_t)first * a_step, a_step, last - first)
                 __global real *target = c + (size_t)group * RT * n + panel * W;
                 EACH(WRITE)
             }
@@ -71,17 +76,18 @@ KERNEL void pack_panels(const int n, const int depth, __global const real *restr
     const int panel = get_global_id(0);
     if (panel * W >= n) return;
     const int width = min(W, n - panel * W);
+    const int begin = get_global_id(1) * DP, end = min(begin + DP, depth);
     b += (size_t)panel * W * b_column;
     out += (size_t)panel * W * depth;
     if (b_column == 1 && width == W) {
-        for (int t = 0; t < depth; ++t) {
+        for (int t = begin; t < end; ++t) {
             const real factor = weight ? weight[t] : ONE;
             STORE(__global, out + (size_t)t * W, factor * LOAD(__global, b + (size_t)t * b_row));
             STORE(__global, out + (size_t)t * W + V, factor * LOAD(__global, b + (size_t)t * b_row + V));
         }
         return;
     }
-    for (int t = 0; t < depth; ++t) {
+    for (int t = begin; t < end; ++t) {
         const real factor = weight ? weight[t] : ONE;
         for (int j = 0; j < width; ++j)
             out[(size_t)t * W + j] = factor * b[(size_t)t * b_row + (size_t)j * b_column];
@@ -89,17 +95,20 @@ KERNEL void pack_panels(const int n, const int depth, __global const real *restr
     }
 }
 
-KERNEL void pack_tiles(const int n, const int depth, __global const real *restrict b, __global const real *restrict weight,
-                       __global real *restrict out)
+KERNEL void pack_tiles(const int n, const int depth, __global const real *restrict b, const int b_row, const int b_column,
+                       __global const real *restrict weight, __global real *restrict out)
 {
     const int tile = get_global_id(0);
     if (tile * RT >= n) return;
-    const int width = min(RT, n - tile * RT);
+    const int last = min(RT, n - tile * RT) - 1;
+    const int begin = get_global_id(1) * DP, end = min(begin + DP, depth);
+    b += (size_t)tile * RT * b_column;
     out += (size_t)tile * RT * depth;
-    for (int t = 0; t < depth; ++t) {
+    for (int t = begin; t < end; ++t) {
         const real factor = weight ? weight[t] : ONE;
-        for (int j = 0; j < RT; ++j)
-            out[(size_t)t * RT + j] = j < width ? factor * b[(size_t)t * n + tile * RT + j] : ZERO;
+        __global const real *line = b + (size_t)t * b_row;
+        /* Columns beyond the matrix repeat the last one: nobody reads their sums. */
+        for (int j = 0; j < RT; ++j) out[(size_t)t * RT + j] = factor * line[(size_t)min(j, last) * b_column];
     }
 }
 

@@ -12,13 +12,22 @@ from .kernels_arrays import ELEMENTS, KernelArrays, ceil_div, require_shapes
 TILE = 6
 """Rows of the register tile of plain products."""
 
-DEPTH_BLOCK = 384
-"""Depth of a block: a panel of it stays in the first cache."""
+DEPTH_BLOCK = 128
+"""Depth of a block: a panel of it and the rows that meet it stay in the first cache."""
+
+DEPTH_PACKED = 512
+"""Depth that one work-item packs."""
 
 PACK_ABOVE = 24
 """Row groups from which packing the right side pays for its extra launch."""
 
+DEPTH_SPLIT = 512
+"""Least depth of a part when a product is cut along its depth."""
+
 CHOLESKY_ITEMS = 8
+
+PACK_LEFT_ABOVE = 4
+"""Column panels from which packing the left side pays."""
 
 
 class KernelProducts(KernelArrays):
@@ -90,13 +99,13 @@ class KernelProducts(KernelArrays):
         result = self._result("weighted_gram", (m, n), out)
         tiles = ceil_div(m, TILE) * ceil_div(n, self.device.lanes)
         wanted = 8 * self.device.facts.units * self.device.group
-        splits = min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_BLOCK))
+        splits = min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_SPLIT))
         if splits <= 1:
             self._product(a, b, result, m, n, rows, True, False, weight=w)
             return result
         partial = self.device.scratch("splits", splits * m * n)
         self._product(a, b, partial, m, n, rows, True, False, weight=w, splits=splits)
-        kernel = self.device.kernel("product", "sum_splits", RT=TILE, KB=DEPTH_BLOCK)
+        kernel = self.device.kernel("product", "sum_splits", RT=TILE, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         self.device.launch(kernel, m * n, m * n, splits, 1.0, 0, partial, result)
         return result
 
@@ -141,14 +150,18 @@ class KernelProducts(KernelArrays):
             b, b_step, b_panel = self._pack_panels("right", b, n, depth, *strides, weight), lanes, depth * lanes
         else:
             b_step, b_panel = n, lanes
-        groups, panels = self._macro_tile(group_count, panel_count * splits)
         a_row, a_step = (1, m) if transpose_a else (depth, 1)
-        kernel = self.device.kernel("product", "product", RT=TILE, KB=DEPTH_BLOCK)
+        a_group = TILE * a_row
+        if panel_count > PACK_LEFT_ABOVE and depth > DEPTH_BLOCK:
+            a = self._pack_tiles("left", a, m, depth, a_step, a_row, TILE)
+            a_group, a_row, a_step = depth * TILE, 1, TILE
+        groups, panels = self._macro_tile(group_count, panel_count * splits)
+        kernel = self.device.kernel("product", "product", RT=TILE, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         size = (ceil_div(group_count, groups), ceil_div(panel_count, panels), splits)
         split_depth = ceil_div(depth, splits)
         sizes = (m, n, depth, groups, panels, split_depth)
         self.device.launch(
-            kernel, size, *sizes, scale, int(accumulate), a, a_row, a_step, b, b_step, b_panel, ranges, result
+            kernel, size, *sizes, scale, int(accumulate), a, a_group, a_row, a_step, b, b_step, b_panel, ranges, result
         )
 
     def _macro_tile(self, group_count: int, panel_count: int) -> tuple[int, int]:
@@ -174,8 +187,28 @@ class KernelProducts(KernelArrays):
         """Queue packing of b (depth, n), given by its strides, into (panels, depth, lanes) scratch."""
         panels = ceil_div(n, self.device.lanes)
         packed = self.device.scratch(f"panels.{slot}", panels * depth * self.device.lanes)
-        kernel = self.device.kernel("product", "pack_panels", RT=TILE, KB=DEPTH_BLOCK)
-        self.device.launch(kernel, panels, n, depth, b, row_stride, column_stride, weight, packed)
+        kernel = self.device.kernel("product", "pack_panels", RT=TILE, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
+        size = (panels, ceil_div(depth, DEPTH_PACKED))
+        self.device.launch(kernel, size, n, depth, b, row_stride, column_stride, weight, packed)
+        return packed
+
+    def _pack_tiles(
+        self,
+        slot: str,
+        b: DeviceArray,
+        n: int,
+        depth: int,
+        row_stride: int,
+        column_stride: int,
+        tile: int,
+        weight: DeviceArray | None = None,
+    ) -> DeviceArray:
+        """Queue packing of b (depth, n), given by its strides, into (tiles, depth, tile) scratch."""
+        tiles = ceil_div(n, tile)
+        packed = self.device.scratch(f"tiles.{slot}", tiles * depth * tile)
+        kernel = self.device.kernel("product", "pack_tiles", RT=tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
+        size = (tiles, ceil_div(depth, DEPTH_PACKED))
+        self.device.launch(kernel, size, n, depth, b, row_stride, column_stride, weight, packed)
         return packed
 
     def _band_tables(self, band: Band) -> tuple[DeviceArray, DeviceArray]:

@@ -37,13 +37,14 @@ class KernelSearches(KernelProducts):
         lanes = self.device.lanes
         padded_size = ceil_div(p, lanes) * lanes
         groups = 8 if self.device.group == 1 else 1
-        defines = {"RT": TILE, "NEAREST_GROUPS": groups, "ABSOLUTE": int(absolute)}
+        defines: dict[str, str | int] = {"RT": TILE, "NEAREST_GROUPS": groups, "ABSOLUTE": int(absolute)}
         padded = self.device.scratch("penalty", padded_size)
         launch, kernel = self.device.launch, self.device.kernel
         launch(kernel("nearest", "pad_penalty", **defines), padded_size, p, padded_size, penalty, padded)
         packed = self._pack_panels("right", points, p, depth, 1, depth)
+        tiles = self._pack_tiles("left", queries, m, depth, 1, depth, TILE)
         items = ceil_div(m, groups * TILE)
-        launch(kernel("nearest", "nearest", **defines), items, m, p, depth, queries, packed, padded, index, score)
+        launch(kernel("nearest", "nearest", **defines), items, m, p, depth, tiles, packed, padded, index, score)
         return index, score
 
     def distortion_batch(
@@ -66,12 +67,7 @@ class KernelSearches(KernelProducts):
         rows = self.device.scratch("maps", maps * m, np.int32)
         parts = ceil_div(m, ROWS_OF_PART)
         partial = self.device.scratch("partial", parts * maps)
-        suffix = "f" if self.dtype.itemsize == 4 else ""
-        defines = {
-            "RELATIVE": int(kind == "relative"),
-            "DB": ROWS_OF_PART,
-            "FLOOR": f"{RELATIVE_DISTANCE_FLOOR}{suffix}",
-        }
+        defines = self._candidate_defines(kind)
         launch, kernel = self.device.launch, self.device.kernel
         launch(kernel("candidates", "transpose_maps", **defines), maps, m, maps, index, rows)
         scores = kernel("candidates", "distortion_parts", **defines)

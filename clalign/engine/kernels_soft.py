@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from .device import DeviceArray
 from .kernels_arrays import ELEMENTS, ceil_div, require_shapes
-from .kernels_products import DEPTH_BLOCK, TILE, KernelProducts
+from .kernels_products import TILE, KernelProducts
 from .reference_soft import pair_count, pair_factor
 
 FEATURES = 256
@@ -28,7 +28,7 @@ class KernelSoftMaps(KernelProducts):
         require_shapes("packed_moments", w=(w.shape, (n,)), u=(u.shape[:1], (n,)))
         result = self._result("packed_moments", (pair_count(k), r), out)
         tile = tile_rows(r)
-        right = self._pack_tiles(u, w, tile)
+        right = self._pack_tiles("right", u, r, n, r, 1, tile, w)
         key = ("runs", k, self.device.lanes)
         if key not in self._constants:
             self._constants[key] = self.array(pair_runs(k, self.device.lanes // 2))
@@ -117,7 +117,7 @@ class KernelSoftMaps(KernelProducts):
         z = self._result("soft_map_streamed", (n, r), out and out[0])
         s = self._result("soft_map_streamed", (n,), out and out[1])
         tile = tile_rows(r)
-        right = self._pack_tiles(u, None, tile)
+        right = self._pack_tiles("right", u, r, n_y, r, 1, tile)
         ct = self._pack_panels("c", c, n, k, 1, k)
         panels = ceil_div(n, self.device.lanes)
         groups = self._groups(panels)
@@ -169,7 +169,7 @@ class KernelSoftMaps(KernelProducts):
         """Queue z = diag(factor) vech(c cᵀ) · diag(pair_weight) packed."""
         (n, k), r = c.shape, packed.shape[1]
         tile = tile_rows(r)
-        right = self._pack_tiles(packed, pair_weight, tile)
+        right = self._pack_tiles("right", packed, r, pair_count(k), r, 1, tile, pair_weight)
         ct = self._pack_panels("c", c, n, k, 1, k)
         panels = ceil_div(n, self.device.lanes)
         groups = self._groups(panels)
@@ -195,15 +195,6 @@ class KernelSoftMaps(KernelProducts):
         kernel = self.device.kernel("elementwise", "reciprocal", EB=ELEMENTS)
         self.device.launch(kernel, n, n, s, inverse)
         return inverse
-
-    def _pack_tiles(self, u: DeviceArray, weight: DeviceArray | None, tile: int) -> DeviceArray:
-        """Queue packing of diag(weight) u (rows, r) into (tiles, rows, tile) scratch."""
-        rows, r = u.shape
-        tiles = ceil_div(r, tile)
-        packed = self.device.scratch("tiles", tiles * rows * tile)
-        kernel = self.device.kernel("product", "pack_tiles", RT=tile, KB=DEPTH_BLOCK)
-        self.device.launch(kernel, tiles, r, rows, u, weight, packed)
-        return packed
 
     def _sums(self, panels: int, width: int) -> DeviceArray:
         """Scratch (panels, width, lanes) in which sums wait between blocks."""
