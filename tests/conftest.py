@@ -56,7 +56,7 @@ def bumpy_pair() -> Pair:
     """The bumpy sphere and a slightly bent copy of it, each numbered in its own order."""
     vertices, faces = shapes.bumpy_sphere(3)
     source_vertices, source_faces, source_of_old = shapes.renumbered(vertices, faces, 1)
-    target_vertices, target_faces, target_of_old = shapes.renumbered(shapes.bent(vertices, 0.4), faces, 2)
+    target_vertices, target_faces, target_of_old = shapes.renumbered(shapes.bent(vertices, 0.15), faces, 2)
     truth = target_of_old[np.argsort(source_of_old)]
     return Pair((source_vertices, source_faces), (target_vertices, target_faces), truth)
 
