@@ -38,10 +38,11 @@ def fabricate(
     basis: int = 20,
     descriptors: int = 16,
     alternatives: int = 1,
+    spectra_of: Callable[[Mesh, int, int], tuple[Spectrum, Spectrum]] = spectra,
 ) -> Correspondence:
     """The result that a match with these maps (in file numbering) would give: C and R by least squares from them."""
-    source_basis, source_si = spectra(source, basis, descriptors)
-    target_basis, target_si = spectra(target, basis, descriptors)
+    source_basis, source_si = spectra_of(source, basis, descriptors)
+    target_basis, target_si = spectra_of(target, basis, descriptors)
     compact = np.full(source.file_count, -1)
     compact[source.file_index] = np.arange(source.n_vertices)
     pulled = compact[source_of_target[target.file_index]]
@@ -105,3 +106,37 @@ def small() -> Correspondence:
     source = mesh_from_arrays(np.concatenate([lone, first]), first_faces + 1, "first")
     target = mesh_from_arrays(np.concatenate([lone, second]), second_faces + 1, "second")
     return fabricate(source, target, target_of_source, source_of_target)
+
+
+def waves(mesh: Mesh, basis: int, descriptors: int) -> tuple[Spectrum, Spectrum]:
+    """Smooth functions in place of eigenfunctions, for meshes on which these would take too long."""
+    mass = lumped_mass(mesh.vertices, mesh.faces)
+    frequencies = np.random.default_rng(8).normal(scale=4.0, size=(3, max(basis, descriptors)))
+    functions = np.cos(mesh.vertices @ frequencies)
+    functions /= np.sqrt(mass @ functions**2)
+    values = np.arange(functions.shape[1], dtype=np.float64)
+    return Spectrum(values[:basis], functions[:, :basis], mass), Spectrum(
+        values[:descriptors], functions[:, :descriptors], mass
+    )
+
+
+def torus(around: int, across: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """A bent, uneven ring of around * across vertices."""
+    u, v = np.meshgrid(np.arange(around) / around, np.arange(across) / across, indexing="ij")
+    u, v = 2 * np.pi * u.ravel(), 2 * np.pi * v.ravel()
+    thick = 0.35 + 0.12 * np.cos(u)
+    radius = 1.0 + thick * np.cos(v)
+    vertices = np.stack([1.2 * radius * np.cos(u), 1.7 * radius * np.sin(u), thick * np.sin(v)], axis=1)
+    i, j = np.divmod(np.arange(around * across), across)
+    here, right = i * across + j, (i + 1) % around * across + j
+    up, both = i * across + (j + 1) % across, (i + 1) % around * across + (j + 1) % across
+    return vertices, np.concatenate([np.stack([here, right, both], 1), np.stack([here, both, up], 1)])
+
+
+@pytest.fixture(scope="session")
+def large() -> Correspondence:
+    """Two rings of 50,176 vertices, the second bent and numbered in another order."""
+    vertices, faces = torus(256, 196)
+    other, other_faces, new_of_old = shapes.renumbered(shapes.bent(vertices, 0.5), faces, 6)
+    meshes = mesh_from_arrays(vertices, faces, "ring"), mesh_from_arrays(other, other_faces, "bent ring")
+    return fabricate(*meshes, new_of_old, np.argsort(new_of_old), descriptors=100, spectra_of=waves)
