@@ -14,7 +14,6 @@ import logging
 import os
 import tempfile
 import time
-import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,8 +30,6 @@ KEY_DIGITS = 40
 DEFAULT_LIMIT = 2 * 1024**3
 #: A temporary file of this age, in seconds, was left behind by a process that was killed.
 ABANDONED_AFTER = 3600.0
-
-_READ_ERRORS = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 @dataclass(frozen=True)
@@ -99,7 +96,8 @@ class ShapeCache:
             os.utime(path)
         except FileNotFoundError:
             return None
-        except _READ_ERRORS as error:
+        # A damaged file makes zipfile and numpy raise almost anything, NotImplementedError and MemoryError included.
+        except Exception as error:
             logger.warning("cache entry %s cannot be read (%s); it is computed again", path, error)
             self.discard(key)
             return None

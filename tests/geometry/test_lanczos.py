@@ -1,0 +1,77 @@
+"""The proof that no eigenvalue was passed over: what it must reject."""
+
+from __future__ import annotations
+
+import analytic
+import numpy as np
+import pytest
+import scipy.sparse as sparse
+
+from clalign.errors import ConvergenceError
+from clalign.geometry import lanczos, operators
+
+COUNT = 214
+
+
+@pytest.fixture(scope="module")
+def matrix() -> sparse.csc_matrix:
+    surface = analytic.bumpy(3)
+    root = sparse.diags_array(1 / np.sqrt(operators.lumped_mass(*surface) / 4.0))
+    return sparse.csc_matrix(root @ operators.stiffness(*surface) @ root)
+
+
+def omit(part: lanczos._Slice, index: int) -> lanczos._Slice:
+    """Return a slice as it comes out when one pair below the shift is passed over: the numbers move up."""
+    return lanczos._Slice(part.first + 1, np.delete(part.values, index), np.delete(part.rows, index, axis=0))
+
+
+def slices(matrix: sparse.csc_matrix) -> list[lanczos._Slice]:
+    values, vectors = np.linalg.eigh(matrix.toarray())
+    bounds = [(0, 100), (88, 160), (148, COUNT)]
+    return [lanczos._Slice(first, values[first:end], vectors[:, first:end].T) for first, end in bounds]
+
+
+def test_slices_that_agree_are_joined(matrix: sparse.csc_matrix) -> None:
+    values, rows = lanczos._joined(slices(matrix), 1.0)
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(matrix.toarray())[:COUNT], atol=1e-9)
+    np.testing.assert_allclose(rows @ rows.T, np.eye(COUNT), atol=1e-12)
+    lanczos._check_count(matrix, values)
+
+
+@pytest.mark.parametrize(("which", "index"), [(1, 40), (2, 30), (1, 1)])
+def test_a_pair_missing_between_shifts_shows_as_disagreement(matrix: sparse.csc_matrix, which: int, index: int) -> None:
+    parts = slices(matrix)
+    parts[which] = omit(parts[which], index)
+    with pytest.raises(ConvergenceError, match="disagree"):
+        lanczos._joined(parts, 1.0)
+
+
+def test_a_pair_missing_at_the_upper_end_shows_in_the_count(matrix: sparse.csc_matrix) -> None:
+    values = np.linalg.eigvalsh(matrix.toarray())[: COUNT + 1]
+    with pytest.raises(ConvergenceError, match="were found"):
+        lanczos._check_count(matrix, np.delete(values, COUNT - 40))
+
+
+def test_a_vector_found_twice_is_refused(matrix: sparse.csc_matrix) -> None:
+    rows = np.linalg.eigh(matrix.toarray())[1].T[:20].copy()
+    rows[7] = rows[8]
+    with pytest.raises(ConvergenceError, match="coincide"):
+        lanczos._orthonormal(rows)
+
+
+@pytest.mark.parametrize("size", [60, 176, 214])
+def test_any_number_of_slices_gives_the_dense_answer(
+    matrix: sparse.csc_matrix, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lanczos, "SLICE", size)
+    values, vectors = lanczos.lowest_pairs(matrix, COUNT, np.pi, threads=2)
+    exact = np.linalg.eigvalsh(matrix.toarray())[:COUNT]
+    np.testing.assert_allclose(values, exact, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(vectors.T @ vectors, np.eye(COUNT), atol=1e-12)
+
+
+def test_a_basis_that_cannot_grow_is_an_error(matrix: sparse.csc_matrix, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lanczos, "CAPACITY", 0.5)
+    monkeypatch.setattr(lanczos, "FIRST_CHECK", 0.5)
+    with pytest.raises(ConvergenceError, match="did not converge"):
+        lanczos.lowest_pairs(matrix, COUNT, np.pi)
