@@ -208,6 +208,9 @@ class Options:
     engine: EngineOptions = field(default_factory=EngineOptions)
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        _require(self.seed >= 0, f"seed must not be negative, got {self.seed!r}")
+
     @staticmethod
     def preset(name: str) -> Options:
         """Return the options of a preset: "default", "paper" or "fast".
@@ -283,7 +286,7 @@ def _converted(group: Any, name: str, key: str, value: Any) -> Any:
         raise OptionError(f"{key} must be true or false, got {value!r}")
     try:
         converted = kind(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise OptionError(f"{key} must be {kind.__name__}, got {value!r}") from error
     if kind is int and not isinstance(value, str) and converted != value:
         raise OptionError(f"{key} must be a whole number, got {value!r}")
