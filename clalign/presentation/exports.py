@@ -26,9 +26,9 @@ from clalign.presentation.raster import write_png
 from clalign.presentation.surface_map import surface_map, vertex_map
 from clalign.presentation.texture import Texture
 
-_TEXTURE_SIZE = 1024
+_TEXTURE_SIZE = 512
 _TEXTURE_SQUARES = 24
-_MATERIAL = "newmtl match\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd match.png\n"
+_MATERIAL = "newmtl checkers\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd texture.png\n"
 
 
 def file_positions(mesh: Mesh) -> NDArray[np.float64]:
@@ -56,7 +56,7 @@ def export_ply(correspondence: Correspondence, folder: str | Path, *, up: Up | N
 def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | None = None) -> list[Path]:
     """Write both shapes as OBJ with one checkered texture, laid on the target from the front and carried to the source.
 
-    Writes ``source.obj``, ``target.obj``, ``match.mtl`` and ``match.png`` and returns these files.
+    Writes ``source.obj``, ``target.obj``, ``texture.mtl`` and ``texture.png`` and returns these files.
     """
     target = correspondence.target
     seen = target.vertices @ front_view(target.vertices, up)[:2].T
@@ -64,15 +64,13 @@ def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | N
     laid = 0.02 + 0.96 * (seen - low) / span
     carried = surface_map(correspondence).pull(laid)
     folder = _ready(folder)
-    materials = ("mtllib match.mtl", "usemtl match")
+    materials = ("mtllib texture.mtl", "usemtl checkers")
     for side, mesh, rows in (("source", correspondence.source, carried), ("target", target, laid)):
         texture = Texture(rows, mesh.faces.astype(np.int64), mesh.file_index[mesh.faces], materials)
         write_textured_obj(folder / f"{side}.obj", file_positions(mesh), texture)
-    (folder / "match.mtl").write_text(
-        "newmtl match\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd match.png\n", encoding="ascii"
-    )
-    write_png(folder / "match.png", _checkers())
-    return [folder / name for name in ("source.obj", "target.obj", "match.mtl", "match.png")]
+    (folder / "texture.mtl").write_text(_MATERIAL, encoding="ascii")
+    write_png(folder / "texture.png", _checkers())
+    return [folder / name for name in ("source.obj", "target.obj", "texture.mtl", "texture.png")]
 
 
 def write_textured_obj(path: str | Path, vertices: NDArray[np.float64], texture: Texture) -> None:

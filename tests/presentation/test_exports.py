@@ -43,7 +43,7 @@ def test_textured_obj_agrees_on_matching_points(small: Correspondence, tmp_path:
         places[side][texture.faces.ravel()] = texture.coordinates[texture.corners.ravel()]
     assert np.allclose(places["source"][1:], places["target"][small.target_of_source[1:]], atol=1e-6)
     assert np.abs(places["target"] - 0.5).max() <= 0.5
-    assert "map_Kd match.png" in files[2].read_text(encoding="ascii")
+    assert "map_Kd texture.png" in files[2].read_text(encoding="ascii")
     again = load_mesh(files[0])
     assert np.allclose(again.file_vertices(), small.source.file_vertices())
 
