@@ -9,16 +9,19 @@ from collections.abc import Iterator
 
 from threadpoolctl import threadpool_limits
 
+#: Environment variable with the most threads to use, for several processes that share a machine.
+THREADS_VARIABLE = "CLALIGN_THREADS"
+
 _lock = threading.Lock()
 _users = 0
 _limits: threadpool_limits | None = None
 
 
 def processor_count() -> int:
-    """Return the number of processors that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Return the number of processors that this process may run on, at most ``CLALIGN_THREADS`` if that is set."""
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    wanted = os.environ.get(THREADS_VARIABLE, "")
+    return min(available, int(wanted)) if wanted.isdecimal() and int(wanted) > 0 else available
 
 
 @contextlib.contextmanager
