@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clalign.cli.evaluate import read_truth
 from clalign.cli.job import Truths, add_job_arguments, run_job
 
 if TYPE_CHECKING:
@@ -55,35 +56,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Match the two files of the command line."""
-    return run_job(
-        args.source, args.target, args, lambda source, target: read_truths(args.truth, source, target), force=args.force
-    )
 
+    def truths(source: Mesh, target: Mesh) -> Truths | None:
+        return Truths(read_truth(args.truth, None, source, target)) if args.truth else None
 
-def read_truths(files: list[str], source: Mesh, target: Mesh) -> Truths | None:
-    """Read what ``--truth`` names and check it against the meshes.
-
-    Raises
-    ------
-    ResultError
-        A file cannot be read or does not fit the meshes.
-    """
-    from clalign.errors import OptionError, ResultError
-    from clalign.evaluation.truth import Truth, read_index_truth, read_pair_truth
-
-    if not files:
-        return None
-    if len(files) > 2:
-        raise OptionError(f"--truth may be given once or twice, not {len(files)} times")
-    if len(files) == 2:
-        return Truths(
-            read_pair_truth(files[0], files[1], source_count=source.file_count, target_count=target.file_count)
-        )
-    if files[0] == "identity":
-        if source.file_count != target.file_count:
-            raise ResultError(
-                f"--truth identity: the source has {source.file_count} vertices and the target {target.file_count}; "
-                "equal numbering needs equal counts"
-            )
-        return Truths(Truth.identity(source.file_count))
-    return Truths(read_index_truth(files[0], source_count=source.file_count, target_count=target.file_count))
+    return run_job(args.source, args.target, args, truths, force=args.force)
