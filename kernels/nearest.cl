@@ -6,8 +6,8 @@
  * A product whose epilogue keeps, for every row and lane, the best score so far and its panel. Panels go in ascending
  * order and only a larger score replaces, so ties end at the lowest index.
  *
- * nearest: launch (ceil(row groups / NEAREST_GROUPS)); queries packed by pack_tiles
- *          (row groups, depth, RT); points packed by pack_panels (panels, depth, W); penalty (panels, W), padded so that lanes beyond p never win; index (m) int, score (m)
+ * nearest: launch (ceil(row groups / NEAREST_GROUPS)); queries (m, depth); points packed by pack_panels
+ *          (panels, depth, W); penalty (panels, W), padded so that lanes beyond p never win; index (m) int, score (m)
  * pad_penalty: launch (panels W); penalty (p) or NULL to padded (panels, W)
  * numpy twin: clalign.engine.reference_search.ReferenceSearches.nearest
  */
@@ -53,9 +53,9 @@ KERNEL void nearest(const int m, const int p, const int depth, __global const re
     for (int panel = 0; panel < panels; ++panel) {
         const realv bias0 = LOAD(__global, penalty + panel * W), bias1 = LOAD(__global, penalty + panel * W + V);
         for (int group = 0; group < groups; ++group) {
-            TILE_BEGIN(1, RT)
+            TILE_BEGIN(depth, rows - group * RT)
             TILE_STEPS(__global, points + (size_t)panel * W * depth, W,
-                       queries + (size_t)(row_begin + group * RT) * depth, RT, depth)
+                       queries + (size_t)(row_begin + group * RT) * depth, 1, depth)
             EACH(KEEP_ROW)
         }
     }

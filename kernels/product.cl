@@ -11,12 +11,12 @@
  *              c (splits, m, n): split s sums depth s * split_depth .. (s + 1) * split_depth - 1
  * pack_panels: launch (column panels, ceil(depth / DP)); out (column panels, depth, W) = weight[t] b[t rs + j cs], zero
  *              beyond column n; weight (depth) or NULL
- * pack_tiles:  launch (tiles, ceil(depth / DP)); out (tiles, depth, RT) likewise
+ * pack_tiles:  launch (tiles, ceil(depth / DP)); out (tiles, depth, RT) from row-major b (depth, n) likewise
  * sum_splits:  launch (m n): c = scale * sum over splits of partial (splits, m n) [+ c]
  * numpy twins: clalign.engine.reference_arrays.ReferenceArrays.product, banded_product, weighted_gram
  */
 #ifndef KB
-#define KB 128 /* depth of a block */
+#define KB 256 /* depth of a block */
 #endif
 #ifndef DP
 #define DP 512 /* depth that one work-item packs */
@@ -95,20 +95,29 @@ KERNEL void pack_panels(const int n, const int depth, __global const real *restr
     }
 }
 
-KERNEL void pack_tiles(const int n, const int depth, __global const real *restrict b, const int b_row, const int b_column,
+KERNEL void pack_tiles(const int n, const int depth, __global const real *restrict b,
                        __global const real *restrict weight, __global real *restrict out)
 {
     const int tile = get_global_id(0);
     if (tile * RT >= n) return;
     const int last = min(RT, n - tile * RT) - 1;
     const int begin = get_global_id(1) * DP, end = min(begin + DP, depth);
-    b += (size_t)tile * RT * b_column;
+    b += (size_t)tile * RT;
     out += (size_t)tile * RT * depth;
-    for (int t = begin; t < end; ++t) {
+    int t = begin;
+    if (last == RT - 1)
+        /* Whole vectors: what they write too much is overwritten by the next row, so the last row is left to the loop. */
+        for (; t + 1 < end; ++t) {
+            const real factor = weight ? weight[t] : ONE;
+            STORE(__global, out + (size_t)t * RT, factor * LOAD(__global, b + (size_t)t * n));
+#if RT > V
+            for (int j = V; j < RT; ++j) out[(size_t)t * RT + j] = factor * b[(size_t)t * n + j];
+#endif
+        }
+    for (; t < end; ++t) {
         const real factor = weight ? weight[t] : ONE;
-        __global const real *line = b + (size_t)t * b_row;
         /* Columns beyond the matrix repeat the last one: nobody reads their sums. */
-        for (int j = 0; j < RT; ++j) out[(size_t)t * RT + j] = factor * line[(size_t)min(j, last) * b_column];
+        for (int j = 0; j < RT; ++j) out[(size_t)t * RT + j] = factor * b[(size_t)t * n + min(j, last)];
     }
 }
 

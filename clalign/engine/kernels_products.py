@@ -12,7 +12,7 @@ from .kernels_arrays import ELEMENTS, KernelArrays, ceil_div, require_shapes
 TILE = 6
 """Rows of the register tile of plain products."""
 
-DEPTH_BLOCK = 128
+DEPTH_BLOCK = 256
 """Depth of a block: a panel of it and the rows that meet it stay in the first cache."""
 
 DEPTH_PACKED = 512
@@ -25,9 +25,6 @@ DEPTH_SPLIT = 512
 """Least depth of a part when a product is cut along its depth."""
 
 CHOLESKY_ITEMS = 8
-
-PACK_LEFT_ABOVE = 4
-"""Column panels from which packing the left side pays."""
 
 
 class KernelProducts(KernelArrays):
@@ -152,8 +149,8 @@ class KernelProducts(KernelArrays):
             b_step, b_panel = n, lanes
         a_row, a_step = (1, m) if transpose_a else (depth, 1)
         a_group = TILE * a_row
-        if panel_count > PACK_LEFT_ABOVE and depth > DEPTH_BLOCK:
-            a = self._pack_tiles("left", a, m, depth, a_step, a_row, TILE)
+        if transpose_a and depth > DEPTH_BLOCK:
+            a = self._pack_tiles("left", a, m, depth, TILE)
             a_group, a_row, a_step = depth * TILE, 1, TILE
         groups, panels = self._macro_tile(group_count, panel_count * splits)
         kernel = self.device.kernel("product", "product", RT=TILE, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
@@ -198,17 +195,15 @@ class KernelProducts(KernelArrays):
         b: DeviceArray,
         n: int,
         depth: int,
-        row_stride: int,
-        column_stride: int,
         tile: int,
         weight: DeviceArray | None = None,
     ) -> DeviceArray:
-        """Queue packing of b (depth, n), given by its strides, into (tiles, depth, tile) scratch."""
+        """Queue packing of diag(weight) b (depth, n) into (tiles, depth, tile) scratch."""
         tiles = ceil_div(n, tile)
         packed = self.device.scratch(f"tiles.{slot}", tiles * depth * tile)
         kernel = self.device.kernel("product", "pack_tiles", RT=tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         size = (tiles, ceil_div(depth, DEPTH_PACKED))
-        self.device.launch(kernel, size, n, depth, b, row_stride, column_stride, weight, packed)
+        self.device.launch(kernel, size, n, depth, b, weight, packed)
         return packed
 
     def _band_tables(self, band: Band) -> tuple[DeviceArray, DeviceArray]:

@@ -42,9 +42,8 @@ class KernelSearches(KernelProducts):
         launch, kernel = self.device.launch, self.device.kernel
         launch(kernel("nearest", "pad_penalty", **defines), padded_size, p, padded_size, penalty, padded)
         packed = self._pack_panels("right", points, p, depth, 1, depth)
-        tiles = self._pack_tiles("left", queries, m, depth, 1, depth, TILE)
         items = ceil_div(m, groups * TILE)
-        launch(kernel("nearest", "nearest", **defines), items, m, p, depth, tiles, packed, padded, index, score)
+        launch(kernel("nearest", "nearest", **defines), items, m, p, depth, queries, packed, padded, index, score)
         return index, score
 
     def distortion_batch(

@@ -28,7 +28,7 @@ class KernelSoftMaps(KernelProducts):
         require_shapes("packed_moments", w=(w.shape, (n,)), u=(u.shape[:1], (n,)))
         result = self._result("packed_moments", (pair_count(k), r), out)
         tile = tile_rows(r)
-        right = self._pack_tiles("right", u, r, n, r, 1, tile, w)
+        right = self._pack_tiles("right", u, r, n, tile, w)
         key = ("runs", k, self.device.lanes)
         if key not in self._constants:
             self._constants[key] = self.array(pair_runs(k, self.device.lanes // 2))
@@ -117,7 +117,7 @@ class KernelSoftMaps(KernelProducts):
         z = self._result("soft_map_streamed", (n, r), out and out[0])
         s = self._result("soft_map_streamed", (n,), out and out[1])
         tile = tile_rows(r)
-        right = self._pack_tiles("right", u, r, n_y, r, 1, tile)
+        right = self._pack_tiles("right", u, r, n_y, tile)
         ct = self._pack_panels("c", c, n, k, 1, k)
         panels = ceil_div(n, self.device.lanes)
         groups = self._groups(panels)
@@ -169,7 +169,7 @@ class KernelSoftMaps(KernelProducts):
         """Queue z = diag(factor) vech(c cᵀ) · diag(pair_weight) packed."""
         (n, k), r = c.shape, packed.shape[1]
         tile = tile_rows(r)
-        right = self._pack_tiles("right", packed, r, pair_count(k), r, 1, tile, pair_weight)
+        right = self._pack_tiles("right", packed, r, pair_count(k), tile, pair_weight)
         ct = self._pack_panels("c", c, n, k, 1, k)
         panels = ceil_div(n, self.device.lanes)
         groups = self._groups(panels)
