@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sparse
@@ -31,6 +31,8 @@ from .spectra import Spectrum, solve
 from .workers import processor_count, single_threaded_blas
 
 logger = logging.getLogger(__name__)
+
+Part = TypeVar("Part", Spectrum, Geodesics)
 
 #: Functions that the orientation tensor is computed for.
 ORIENTATION_FUNCTIONS = 30
@@ -134,58 +136,54 @@ def _spectra(mesh: Mesh, options: SpectrumOptions, cache: ShapeCache | None) -> 
         stiffness(mesh.vertices, mesh.faces), mass, gaussian_curvature(mesh.vertices, mesh.faces, mass)
     )
     count = max(options.basis, options.refinement)
-    arrays = _stored(
+    basis = _stored(
         cache,
         content_key("basis", _surface(mesh), {"count": count, "solver": options.solver}),
-        lambda: _arrays(solve(operators.stiffness, mass, count, options.solver, processor_count())),
+        Spectrum,
+        lambda: solve(operators.stiffness, mass, count, options.solver, processor_count()),
     )
-    basis = Spectrum(**arrays)
     return operators, basis, _descriptors(mesh, operators, basis, options, cache)
 
 
 def _descriptors(
     mesh: Mesh, operators: _Operators, basis: Spectrum, options: SpectrumOptions, cache: ShapeCache | None
 ) -> Spectrum:
-    def compute() -> dict[str, NDArray[Any]]:
+    def compute() -> Spectrum:
         factor = conformal_factor(operators.curvature, operators.mass, options, basis)
         mass = operators.mass * factor
-        return _arrays(solve(operators.stiffness, mass, options.descriptors, options.solver, processor_count()))
+        return solve(operators.stiffness, mass, options.descriptors, options.solver, processor_count())
 
     names = ("descriptors", "metric", "xi", "clamp", "epsilon", "solver")
     values = {name: getattr(options, name) for name in names} | {"basis": basis.count}
-    return Spectrum(**_stored(cache, content_key("descriptors", _surface(mesh), values), compute))
+    return _stored(cache, content_key("descriptors", _surface(mesh), values), Spectrum, compute)
 
 
 def _distances(mesh: Mesh, options: GeodesicOptions, cache: ShapeCache | None) -> Geodesics:
     values = {"search": options.search_samples, "factor": options.factor_samples}
-    arrays = _stored(
+    return _stored(
         cache,
         content_key("geodesics", _surface(mesh), values),
-        lambda: _arrays(farthest_point_geodesics(mesh, options.search_samples, options.factor_samples)),
+        Geodesics,
+        lambda: farthest_point_geodesics(mesh, options.search_samples, options.factor_samples),
     )
-    return Geodesics(**arrays)
 
 
-def _stored(
-    cache: ShapeCache | None, key: str, compute: Callable[[], dict[str, NDArray[Any]]]
-) -> dict[str, NDArray[Any]]:
+def _stored(cache: ShapeCache | None, key: str, kind: type[Part], compute: Callable[[], Part]) -> Part:
+    """Return a part of a shape from the cache, or compute and store it."""
+    names = {item.name for item in dataclasses.fields(kind)}
     found = None if cache is None else cache.get(key)
-    if found is not None:
-        return found
+    if found is not None and found.keys() == names:
+        return kind(**found)
     started = time.perf_counter()
-    arrays = compute()
+    part = compute()
     logger.info("%s computed in %.2f s", key.partition("-")[0], time.perf_counter() - started)
     if cache is not None:
-        cache.put(key, arrays)
-    return arrays
+        cache.put(key, {name: getattr(part, name) for name in names})
+    return part
 
 
 def _surface(mesh: Mesh) -> dict[str, NDArray[Any]]:
     return {"vertices": mesh.vertices, "faces": mesh.faces}
-
-
-def _arrays(value: Spectrum | Geodesics) -> dict[str, NDArray[Any]]:
-    return {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
 
 
 def _shape(mesh: Mesh, operators: _Operators, basis: Spectrum, descriptors: Spectrum, geodesics: Geodesics) -> Shape:
