@@ -6,13 +6,14 @@ import os
 import shutil
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import fabricated
 import numpy as np
 import pytest
 import shapes
 from numpy.typing import NDArray
+from shapes import Pair
 
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
@@ -29,15 +30,6 @@ os.environ.pop("CLALIGN_DEBUG", None)
 
 def pytest_unconfigure() -> None:
     shutil.rmtree(_SCRATCH, ignore_errors=True)
-
-
-class Pair(NamedTuple):
-    """Two meshes of one shape, numbered independently, and the target vertex of every source vertex."""
-
-    source: tuple[NDArray[np.float64], NDArray[np.int64]]
-    target: tuple[NDArray[np.float64], NDArray[np.int64]]
-    truth: NDArray[np.int64]
-    mirrored: NDArray[np.int64] | None = None
 
 
 @pytest.fixture

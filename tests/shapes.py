@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,15 @@ from scipy.spatial import ConvexHull
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
+
+
+class Pair(NamedTuple):
+    """Two meshes of one shape, numbered independently, and the target vertex of every source vertex."""
+
+    source: tuple[Vertices, Faces]
+    target: tuple[Vertices, Faces]
+    truth: NDArray[np.int64]
+    mirrored: NDArray[np.int64] | None = None
 
 
 def icosphere(subdivisions: int) -> tuple[Vertices, Faces]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import shapes
-from conftest import Pair
+from shapes import Pair
 
 
 def euler(n_vertices: int, faces: shapes.Faces) -> int:
