@@ -1,13 +1,13 @@
 /* Deterministic sums in two stages: sum over i of a[i] b[i], or of a[i] when b is NULL.
  *
  * partial_dots: launch (parts); part p sums elements p RB .. (p + 1) RB - 1 into partial[p]
- * finish_sum:   launch (1); out[0] = scale * sum of partial (parts) [+ out[0] when accumulate]
+ * finish_sum:   launch (1); out[0] = scale * sum of partial (parts) [+ out[0] when accumulate], compensated (Kahan)
  * finish_rows:  launch (rows); out[i] = sum of partial[i, :] (rows, parts)
  * trace:        launch (1); out[0] = trace of a (d, d)
  * numpy twin: clalign.engine.reference_arrays.ReferenceArrays.total
  */
 #ifndef RB
-#define RB 2048 /* elements of one part */
+#define RB 512 /* elements of one part */
 #endif
 
 KERNEL void partial_dots(const int count, __global const real *a, __global const real *b, __global real *restrict partial)
@@ -39,8 +39,12 @@ KERNEL void finish_sum(const int parts, const real scale, const int accumulate, 
                        __global real *restrict out)
 {
     if (get_global_id(0) > 0) return;
-    real total = ZERO;
-    for (int p = 0; p < parts; ++p) total += partial[p];
+    real total = ZERO, lost = ZERO;
+    for (int p = 0; p < parts; ++p) {
+        const real term = partial[p] - lost, next = total + term;
+        lost = (next - total) - term;
+        total = next;
+    }
     out[0] = accumulate ? out[0] + scale * total : scale * total;
 }
 

@@ -15,7 +15,7 @@ from .device import Device, DeviceArray
 ELEMENTS = 4096
 """Elements of one work-item of an elementwise kernel."""
 
-PART = 2048
+PART = 512
 """Elements of one part of a sum."""
 
 

@@ -1,0 +1,91 @@
+"""Fixtures of the engine tests: backends, and the rule that a kernel errs at most twice as much as its twin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clalign.engine.device import Device, DeviceArray
+from clalign.engine.kernels import Kernels
+from clalign.engine.reference import Reference
+
+FLOOR = {"float32": 1e-6, "float64": 2e-15}
+"""Relative error that is always allowed."""
+
+Check = Callable[..., Any]
+
+
+@pytest.fixture(scope="session")
+def kernels() -> Kernels:
+    return Kernels(Device())
+
+
+@pytest.fixture(scope="session")
+def double_kernels(kernels: Kernels) -> Kernels:
+    if not kernels.device.facts.double:
+        pytest.skip(f"{kernels.device.facts.label} has no double precision")
+    return Kernels(Device(precision="double"))
+
+
+@pytest.fixture
+def reference() -> Reference:
+    return Reference()
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20)
+
+
+def as_tuple(value: Any) -> tuple[Any, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def downloaded(value: Any) -> list[np.ndarray]:
+    return [part.get() if isinstance(part, DeviceArray) else np.asarray(part) for part in as_tuple(value)]
+
+
+def poison_scratch(kernels: Kernels) -> None:
+    """Fill all scratch memory with NaN, so that a kernel that reads what it did not write is found out."""
+    for scratch in kernels.device._scratch.values():
+        if scratch.dtype.kind == "f":
+            kernels.device.copy(kernels.device.upload(np.full(scratch.shape, np.nan, scratch.dtype)), scratch)
+
+
+def check_against_twin(backend: Kernels, name: str, *arguments: Any, **options: Any) -> list[np.ndarray]:
+    """Compare a kernel with its float64 twin, and with itself run again on poisoned scratch memory.
+
+    The error may be twice that of the twin run in the kernel's precision; both are relative to the largest true value.
+    """
+    rounded = Reference(backend.dtype)
+    given = [rounded.array(a) if isinstance(a, np.ndarray) else a for a in arguments]
+    exact = [Reference().array(a) if isinstance(a, np.ndarray) else a for a in given]
+    truth = as_tuple(getattr(Reference(), name)(*exact, **options))
+    twin = as_tuple(getattr(rounded, name)(*given, **options))
+    uploaded = [backend.array(a) if isinstance(a, np.ndarray) else a for a in given]
+    results = downloaded(getattr(backend, name)(*uploaded, **options))
+    assert len(results) == len(truth)
+    for part, (true, near, result) in enumerate(zip(truth, twin, results, strict=True)):
+        true = np.asarray(true)
+        assert result.shape == true.shape
+        largest = np.abs(true).max() or 1.0
+        allowed = max(2 * np.abs(near - true).max() / largest, FLOOR[backend.dtype.name])
+        error = np.abs(result - true).max() / largest
+        assert error <= allowed, f"{name}[{part}] {true.shape}: error {error:.2e}, allowed {allowed:.2e}"
+    for _ in range(2):
+        poison_scratch(backend)
+        again = downloaded(getattr(backend, name)(*uploaded, **options))
+        for result, repeated in zip(results, again, strict=True):
+            np.testing.assert_array_equal(result, repeated)
+    return results
+
+
+@pytest.fixture(params=["float32", "float64"])
+def check(request: pytest.FixtureRequest) -> Check:
+    """`check_against_twin` on the device in single and in double precision."""
+    fixture = "kernels" if request.param == "float32" else "double_kernels"
+    backend = request.getfixturevalue(fixture)
+    return lambda name, *arguments, **options: check_against_twin(backend, name, *arguments, **options)

@@ -1,0 +1,63 @@
+"""Kernel sources: found in both layouts, complete, and within the rules that keep them portable."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from clalign.engine import programs
+from clalign.engine.programs import PARTS, kernel_folder, kernel_source
+from clalign.errors import DeviceError
+
+FILES = sorted(kernel_folder().glob("*.cl"))
+
+
+def test_options_are_part_of_the_text():
+    """PoCL's cache may return a program that was built with other options if the text is the same."""
+    one, two = (kernel_source("product", {"PRECISION": 32, "WG": 1, "KB": block}) for block in (128, 256))
+    assert one.text != two.text
+    assert one.text.split("\n", 1)[1] == two.text.split("\n", 1)[1]
+
+
+def test_signatures_are_read_from_the_source():
+    source = kernel_source("elementwise", {})
+    assert source.signatures["add"] == ("int", "real", "real", "buffer", "buffer", "buffer")
+    assert source.signatures["band_gather"] == ("int", "buffer", "buffer", "buffer", "buffer")
+    assert kernel_source("product", {}).signatures["product"].count("long") == 2
+    assert "factorise" in kernel_source("cholesky", {}).signatures
+
+
+def test_every_file_belongs_to_a_program():
+    used = {part for parts in PARTS.values() for part in parts} | set(programs.PRELUDE)
+    assert used == {file.name for file in FILES}
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
+def test_files_keep_the_rules(file: Path):
+    text = file.read_text(encoding="utf-8")
+    code = re.sub(r"/\*.*?\*/", "", text, flags=re.S)
+    assert text.startswith("/*")
+    assert len(text.splitlines()) < 250
+    assert not re.search(r"\b(fma|vload\d|vstore\d|atomic\w*)\s*\(", code)
+    assert not re.search(r"\b\d+\.\d*\b", code), "a literal with a decimal point is a double"
+    for signature in programs.SIGNATURE.findall(text):
+        assert signature[0] in text.split("*/")[0], f"{signature[0]} is not described at the head of the file"
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_found_in_a_wheel_and_beside_the_package(tmp_path, monkeypatch, inside):
+    package = tmp_path / "clalign"
+    (package / "engine").mkdir(parents=True)
+    place = package / "kernels" if inside else tmp_path / "kernels"
+    shutil.copytree(kernel_folder(), place)
+    monkeypatch.setattr(programs, "__file__", str(package / "engine" / "programs.py"))
+    assert kernel_folder.__wrapped__() == place
+
+
+def test_an_incomplete_installation_says_where_it_looked(tmp_path, monkeypatch):
+    monkeypatch.setattr(programs, "__file__", str(tmp_path / "clalign" / "engine" / "programs.py"))
+    with pytest.raises(DeviceError, match="kernels are missing"):
+        kernel_folder.__wrapped__()
