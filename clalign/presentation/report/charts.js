@@ -9,9 +9,9 @@ function makeSvg(tag, attributes, text) {
   return element;
 }
 
-/** Round numbers that divide [low, high] into two to five parts. */
+/** Round numbers that divide [low, high] into three to six parts. */
 function ticks(low, high) {
-  const rough = (high - low) / 4 || 1;
+  const rough = (high - low) / 5.5 || 1;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= rough);
   const found = [];

@@ -29,6 +29,9 @@ function readable(value, digits = 3) {
   return Number(value.toPrecision(digits)).toString().replace("-", "−");
 }
 
+/** Two decimals, for numbers of a known size. */
+const fixed = (value) => (Number.isFinite(value) ? value.toFixed(2).replace("-", "−") : "–");
+
 const grouped = (count) => Number(count).toLocaleString("en-GB");
 
 /** The colour (0 to 255 a channel) of `place` in [0, 1] on one of the ramps "signed" and "amount". */

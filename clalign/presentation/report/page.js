@@ -31,10 +31,11 @@ function levelled(levels, ramp) {
 
 function distortionColours() {
   const values = arrayValues("distortion");
-  const limit = distortionRank.quantile(0.98) || 1;
-  const levels = Uint8Array.from(values, (value) => Math.round(255 * Math.min(1, Math.max(0, value / limit))));
+  const [low, high] = [distortionRank.quantile(0.02), distortionRank.quantile(0.98)];
+  const place = (value) => Math.min(1, Math.max(0, (value - low) / (high - low || 1)));
+  const levels = Uint8Array.from(values, (value) => Math.round(255 * place(value)));
   const source = levelled(levels, "amount");
-  return { source, target: carried(source, mapValues("source-of-target")), limit };
+  return { source, target: carried(source, arrayValues("map-0-source-of-target")), low, high };
 }
 
 const distortionRank = {
@@ -67,7 +68,7 @@ function paint() {
   } else if (shown.colouring === "distortion") {
     const colours = distortionColours();
     ({ source, target } = colours);
-    legend = ["amount", "0", `${readable(colours.limit)} and more`];
+    legend = ["amount", `${readable(colours.low)} and less`, `${readable(colours.high)} and more`];
   } else if (shown.colouring === "function") {
     [source, target] = [functionColours("source"), functionColours("target")];
     legend = ["signed", "negative", "positive"];
@@ -97,8 +98,10 @@ function showLegend(legend) {
 
 function showAgreement() {
   byId("function-controls").hidden = shown.colouring !== "function";
-  const value = (stage) => facts.functions.agreement[stage][shown.function - 1]?.toFixed(2) ?? "–";
-  byId("agreement").textContent = `agreement across the chosen map: ${value("before")} before, ${value("after")} after`;
+  const { available, shown: count, agreement } = facts.functions;
+  const value = (stage) => fixed(agreement[stage][shown.function - 1]);
+  const rest = count < available ? `; the page holds the first ${count} of ${available}` : "";
+  byId("agreement").textContent = `agreement across the chosen map: ${value("before")} before, ${value("after")} after${rest}`;
 }
 
 /** A chosen pair: the vertex pointed at and its match, by side; -1 where there is none. */
@@ -116,7 +119,7 @@ function describePair(pair) {
   if (pair.source >= 0) {
     const distortion = arrayValues("distortion")[pair.source];
     const worse = Math.round(100 * distortionRank.below(distortion));
-    details.push(`local distortion ${readable(distortion)} (more than at ${worse} % of the vertices)`);
+    details.push(`local distortion ${readable(distortion)} √area (more than at ${worse} % of the vertices)`);
   }
   if (pair[to] >= 0) {
     const back = matchOf(to, pair[to]);

@@ -7,8 +7,8 @@ const HISTORY_NAMES = {
 
 function fillHead() {
   const keys = [
-    ["confidence", `${readable(facts.confidence, 2)} of 1`],
-    ["orientation kept", readable(facts.orientation, 2)],
+    ["confidence", `${fixed(facts.confidence)} of 1`],
+    ["orientation kept", fixed(facts.orientation)],
     ["vertices", `${grouped(facts.source.vertices)} → ${grouped(facts.target.vertices)}`],
     ["time", `${readable(totalTime())} s`],
   ];
@@ -31,10 +31,10 @@ function fillTrust(distortion) {
   const sorted = Float32Array.from(distortion).sort();
   const quantile = (share) => readable(sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))]);
   body.append(makeTable(null, [
-    ["Confidence", readable(facts.confidence, 2), "0 to 1: by how much the chosen map beats the best different one."],
-    ["Orientation", readable(facts.orientation, 2), "1: kept everywhere; −1: mirrored everywhere. Near 0 the map is doubtful."],
+    ["Confidence", fixed(facts.confidence), "0 to 1: by how much the chosen map beats the best different one."],
+    ["Orientation", fixed(facts.orientation), "1: kept everywhere; −1: mirrored everywhere. Near 0 the map is doubtful."],
     ["Local distortion", `median ${quantile(0.5)}, 95 % below ${quantile(0.95)}`,
-      "How far distances around a vertex change under the map; choose “local distortion” above to see where."],
+      "Mean change, in √area, of the geodesic distances from a vertex to points all over the shape; “local distortion” above shows where."],
     ...Object.entries(facts.losses).map(([name, value]) => [`Loss: ${HISTORY_NAMES[name] ?? name}`, readable(value, 4), ""]),
   ]));
   const notes = ["source", "target"].flatMap((side) => facts[side].notes.map((note) => `${facts[side].name}: ${note}`));
@@ -53,12 +53,12 @@ function fillAlternatives(choose) {
     return;
   }
   const rows = facts.maps.map((map, rank) => {
-    const button = make("button", { type: "button" }, "Show");
+    const button = make("button", { type: "button", "aria-label": `Show ${map.label}` }, "Show");
     button.addEventListener("click", () => {
       choose(rank);
       document.getElementById("match").scrollIntoView({ behavior: "smooth" });
     });
-    return [map.label, readable(map.score), readable(map.orientation, 2), readable(map.distance), button];
+    return [map.label, readable(map.score), fixed(map.orientation), readable(map.distance), button];
   });
   body.append(makeTable(["Map", "Score (less is better)", "Orientation", "Mean distance to the chosen map", ""], rows, [1, 2, 3]));
 }
@@ -121,7 +121,7 @@ function fillMade() {
   const longest = Math.max(...Object.values(facts.timings).map((value) => value ?? 0), 1e-9);
   const timings = Object.entries(facts.timings).map(([stage, seconds]) => {
     const bar = make("span", { class: "bar", style: `width: ${(8 * (seconds ?? 0)) / longest}rem` });
-    return [stage, readable(seconds), bar];
+    return [stage, fixed(seconds), bar];
   });
   const options = Object.entries(facts.options).flatMap(([group, values]) => (
     values !== null && typeof values === "object"

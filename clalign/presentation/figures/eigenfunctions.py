@@ -1,0 +1,172 @@
+"""Fig. 1, 2 and 8: eigenfunctions on both shapes, before and after alignment and under variants of the method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.correspondence import Correspondence
+from clalign.errors import OptionError
+from clalign.evaluation.spectral_errors import (
+    PairRotation,
+    TrueMaps,
+    alignment_errors,
+    as_computed,
+    most_rotated_pair,
+    pair_rotation,
+    recovered_rotation,
+    true_rotation,
+)
+
+from .sheet import AFTER, BEFORE, Drawing, Image, Table, panel_sheet
+from .surfaces import PairView
+
+#: Paper's numbers (from 1) of the functions of Fig. 1.
+SHOWN = (2, 3, 4, 5, 12, 13, 14, 15, 22, 23, 24, 25)
+SHOWN_INDEX = 7
+_HEIGHT = 300
+
+Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def draw_eigenfunctions(result: Correspondence, maps: TrueMaps, shown: Sequence[int] = SHOWN) -> Drawing:
+    """Draw Fig. 1: corresponding eigenfunctions on both shapes, before (pink) and after alignment (green).
+
+    Parameters
+    ----------
+    result : the match.
+    maps : what err(k) is measured by: the truth, or the found maps where there is none.
+    shown : numbers of eigenfunctions, from 1; those beyond the last one are left out.
+    """
+    view = PairView.of(result)
+    kept = [number for number in shown if number <= len(result.rotation)]
+    before, after = _unaligned(result), (result.source_aligned, result.target_aligned)
+    grid: list[list[Image]] = []
+    for functions, background in ((before, BEFORE), (after, AFTER)):
+        panels = [_panels(view, functions, number - 1, _HEIGHT, background) for number in kept]
+        grid += [[panel[0] for panel in panels], [panel[1] for panel in panels]]
+    errors = [_errors(result, functions, maps) for functions in (before, after)]
+    figure = panel_sheet(
+        grid,
+        columns=[f"{number}" for number in kept],
+        rows=["source", "target", "source, aligned", "target, aligned"],
+        notes=[f"{errors[0][number - 1]:.2f} → {errors[1][number - 1]:.2f}" for number in kept],
+        gaps_after=[place for place in range(len(kept) - 1) if kept[place + 1] != kept[place] + 1],
+    )
+    rows = tuple((number, float(errors[0][number - 1]), float(errors[1][number - 1])) for number in kept)
+    return Drawing(figure, Table(("eigenfunction", "error_before", "error_after"), rows))
+
+
+def draw_pair_rotation(result: Correspondence, maps: TrueMaps, first: int | None = None) -> Drawing:
+    """Draw Fig. 2: two neighbouring eigenfunctions that are turned within their span, and the turn recovered.
+
+    Parameters
+    ----------
+    maps : the truth.
+    first : number (from 1) of the first function; None takes the pair that is turned most.
+
+    Raises
+    ------
+    OptionError
+        There is no such pair.
+    """
+    true = true_rotation(as_computed(result.source_descriptors), result.target_descriptors, maps.source_of_target)
+    true = true[: len(result.rotation), : len(result.rotation)]
+    place = most_rotated_pair(true) if first is None else first - 1
+    if not 0 <= place < len(result.rotation) - 1:
+        raise OptionError(f"there is no pair {place + 1}, {place + 2} among {len(result.rotation)} eigenfunctions")
+    blocks = pair_rotation(true, place), pair_rotation(recovered_rotation(result), place)
+    view = PairView.of(result)
+    before, after = _unaligned(result), (result.source_aligned, result.target_aligned)
+    grid = []
+    for number in (place, place + 1):
+        left, right = _panels(view, before, number, _HEIGHT, BEFORE), _panels(view, after, number, _HEIGHT, AFTER)
+        grid.append([*left, *right])
+    errors = [_errors(result, functions, maps)[place : place + 2] for functions in (before, after)]
+    notes = [f"C̃ of the truth\n{_block_text(blocks[0])}", "", f"C̃ recovered\n{_block_text(blocks[1])}", ""]
+    figure = panel_sheet(
+        grid,
+        columns=["source", "target", "source, aligned", "target, aligned"],
+        rows=[f"eigenfunction {place + 1}", f"eigenfunction {place + 2}"],
+        notes=notes,
+        gaps_after=[1],
+    )
+    return Drawing(figure, _rotation_table(place, blocks, errors))
+
+
+def draw_variants(results: Mapping[str, Correspondence], maps: TrueMaps, number: int = SHOWN_INDEX) -> Drawing:
+    """Draw Fig. 8: one eigenfunction on both shapes, unaligned and aligned by variants of the method.
+
+    Parameters
+    ----------
+    results : label to match of the same pair.
+    maps : the truth.
+    number : of the eigenfunction, from 1.
+
+    Raises
+    ------
+    OptionError
+        There is no such eigenfunction.
+    """
+    first = next(iter(results.values()))
+    if not 1 <= number <= len(first.rotation):
+        raise OptionError(f"there is no eigenfunction {number} among {len(first.rotation)}")
+    view = PairView.of(first)
+    functions: dict[str, Pair] = {"unaligned": _unaligned(first)}
+    functions |= {label: (result.source_aligned, result.target_aligned) for label, result in results.items()}
+    panels: list[Image] = []
+    for label, pair in functions.items():
+        panels += _panels(view, pair, number - 1, _HEIGHT, BEFORE if label == "unaligned" else AFTER)
+    errors = {label: float(_errors(first, pair, maps)[number - 1]) for label, pair in functions.items()}
+    figure = panel_sheet(
+        [panels],
+        columns=[word for label in functions for word in (label, "")],
+        rows=[f"eigenfunction {number}"],
+        notes=[word for error in errors.values() for word in (f"error {error:.3f}", "")],
+        gaps_after=[2 * place + 1 for place in range(len(functions) - 1)],
+    )
+    rows = tuple((number, label, error) for label, error in errors.items())
+    return Drawing(figure, Table(("eigenfunction", "variant", "error"), rows))
+
+
+def _unaligned(result: Correspondence) -> Pair:
+    count = len(result.rotation)
+    return as_computed(result.source_descriptors)[:, :count], result.target_descriptors.functions[:, :count]
+
+
+def _errors(result: Correspondence, functions: Pair, maps: TrueMaps) -> NDArray[np.float64]:
+    return alignment_errors(*functions, maps.target_of_source, result.source_basis.mass)
+
+
+def _panels(
+    view: PairView, functions: Pair, index: int, height: int, background: tuple[float, float, float]
+) -> tuple[Image, Image]:
+    return view.function_panels(functions[0][:, index], functions[1][:, index], height, background)
+
+
+def _block_text(pair: PairRotation) -> str:
+    (a, b), (c, d) = pair.block
+    turn = f"{'reflected, ' if pair.reflected else ''}{pair.angle:+.0f}°, {pair.kept:.0%} inside"
+    return f"{a:+.2f} {b:+.2f}\n{c:+.2f} {d:+.2f}\n{turn}"
+
+
+def _rotation_table(
+    place: int, blocks: tuple[PairRotation, PairRotation], errors: Sequence[NDArray[np.float64]]
+) -> Table:
+    rows = tuple(
+        (
+            label,
+            place + 1,
+            place + 2,
+            *(float(entry) for entry in pair.block.ravel()),
+            pair.angle,
+            str(pair.reflected).lower(),
+            pair.kept,
+            *(float(error) for error in measured),
+        )
+        for label, pair, measured in zip(("truth, before", "recovered, after"), blocks, errors, strict=True)
+    )
+    names = ("matrix", "first", "second", "c11", "c12", "c21", "c22", "degrees", "reflected", "kept")
+    return Table((*names, "error_first", "error_second"), rows)

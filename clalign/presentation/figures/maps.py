@@ -1,0 +1,141 @@
+"""Fig. 5, 6 and 7: error curves, matched colours, and a mirrored result beside the search that avoids it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.correspondence import Correspondence
+from clalign.evaluation.errors import THRESHOLDS, Evaluation, area_under_curve
+from clalign.presentation.curves import AXIS_LABELS, Unit
+from clalign.presentation.surface_map import surface_map
+
+from .eigenfunctions import _panels
+from .sheet import AFTER, BEFORE, Drawing, Image, Table, new_figure, panel_sheet
+from .surfaces import PairView
+
+_HEIGHT = 560
+_SMALL = 300
+_MIRROR_SHOWN = (2, 3, 4, 5)
+
+Curves = Mapping[str, NDArray[np.float64]]
+
+
+def draw_error_curves(curves: Mapping[Unit, Curves]) -> Drawing:
+    """Draw Fig. 5: the share of points within a distance of the truth, per diameter as in the paper and per √area.
+
+    Parameters
+    ----------
+    curves : unit to label to (251,) shares at `clalign.evaluation.errors.THRESHOLDS`.
+    """
+    figure = new_figure(9.0, 3.7)
+    units = [unit for unit in AXIS_LABELS if unit in curves][::-1]
+    for axes, unit in zip(np.atleast_1d(figure.subplots(1, len(units))), units, strict=True):
+        for label, curve in curves[unit].items():
+            axes.plot(THRESHOLDS, 100 * curve, label=f"{label} ({area_under_curve(curve):.3f})", linewidth=1.5)
+        axes.set(xlim=(0, THRESHOLDS[-1]), ylim=(0, 101), xlabel=AXIS_LABELS[unit], ylabel="% of points")
+        axes.grid(alpha=0.3)
+        axes.legend(
+            loc="lower right", fontsize="x-small", title="area under the curve in brackets", title_fontsize="x-small"
+        )
+    figure.set_layout_engine("constrained")
+    named = [(f"{label} / {unit}", curve) for unit in units for label, curve in curves[unit].items()]
+    rows = tuple(
+        (float(threshold), *(float(curve[place]) for _, curve in named)) for place, threshold in enumerate(THRESHOLDS)
+    )
+    return Drawing(figure, Table(("threshold", *(name for name, _ in named)), rows))
+
+
+def draw_matched_colours(results: Mapping[str, Correspondence], evaluations: Mapping[str, Evaluation]) -> Drawing:
+    """Draw Fig. 6: corresponding points of each pair in one colour, the target's colours carried to the source.
+
+    Parameters
+    ----------
+    results : label to match.
+    evaluations : those that could be measured, by the same labels.
+    """
+    panels: list[Image] = []
+    notes: list[str] = []
+    for label, result in results.items():
+        panels += PairView.of(result).map_panels(result.target.vertices, surface_map(result), _HEIGHT)
+        notes += [_error_text(evaluations.get(label)), ""]
+    figure = panel_sheet(
+        [panels],
+        columns=[word for result in results.values() for word in (result.source.name, result.target.name)],
+        notes=notes,
+        gaps_after=[2 * place + 1 for place in range(len(results) - 1)],
+    )
+    rows = tuple((label, *_error_cells(evaluations.get(label))) for label in results)
+    return Drawing(figure, Table(("pair", "mean", "median", "exact", "mirrored_mean", "flipped"), rows))
+
+
+def draw_mirrored(results: Mapping[str, Correspondence], evaluations: Mapping[str, Evaluation]) -> Drawing:
+    """Draw Fig. 7: maps of one pair from different starts, and the first aligned eigenfunctions that they lead to.
+
+    Parameters
+    ----------
+    results : label to match of one pair; the last one is drawn as the good one.
+    evaluations : by the same labels, with errors to the mirrored truth where it is known.
+    """
+    functions: list[Image] = []
+    panels: list[Image] = []
+    grid: list[list[Image]] = []
+    for place, result in enumerate(results.values()):
+        view = PairView.of(result)
+        panels = [*view.map_panels(result.target.vertices, surface_map(result), _SMALL)]
+        background = AFTER if place == len(results) - 1 else BEFORE
+        aligned = result.source_aligned, result.target_aligned
+        functions = []
+        for number in _MIRROR_SHOWN:
+            functions += _panels(view, aligned, min(number, len(result.rotation)) - 1, _SMALL, background)
+        grid.append(panels + functions)
+    figure = panel_sheet(
+        _one_size(grid),
+        columns=["source", "target", *(word for number in _MIRROR_SHOWN for word in (f"{number}, source", "target"))],
+        rows=[f"{label}\n{_error_text(evaluations.get(label))}" for label in results],
+        gaps_after=[1, 3, 5, 7],
+    )
+    rows = tuple(
+        (
+            label,
+            *_error_cells(evaluations.get(label)),
+            *(result.losses.get(name) for name in _LOSSES),
+            result.orientation,
+        )
+        for label, result in results.items()
+    )
+    names = ("start", "mean", "median", "exact", "mirrored_mean", "flipped", *_LOSSES, "orientation")
+    return Drawing(figure, Table(names, rows))
+
+
+_LOSSES = ("total", "align", "unsup", "unitarity")
+
+
+def _one_size(grid: list[list[Image]]) -> list[list[Image]]:
+    """Return the panels with equal widths: views of different maps may be turned differently."""
+    width = max(panel.shape[1] for row in grid for panel in row)
+    return [[_widened(panel, width) for panel in row] for row in grid]
+
+
+def _widened(panel: Image, width: int) -> Image:
+    missing = width - panel.shape[1]
+    sides = ((0, 0), (missing // 2, missing - missing // 2), (0, 0))
+    return np.asarray(np.pad(panel, sides, mode="edge"))
+
+
+def _error_text(evaluation: Evaluation | None) -> str:
+    if evaluation is None:
+        return ""
+    text = f"mean error {100 * evaluation.mean:.2f}"
+    if evaluation.mirrored_mean is not None:
+        text += f", to the mirror image {100 * evaluation.mirrored_mean:.2f}"
+    return text
+
+
+def _error_cells(evaluation: Evaluation | None) -> tuple[float | str | None, ...]:
+    if evaluation is None:
+        return (None,) * 5
+    flipped = None if evaluation.flipped is None else str(evaluation.flipped).lower()
+    return evaluation.mean, evaluation.median, evaluation.exact, evaluation.mirrored_mean, flipped

@@ -1,0 +1,131 @@
+"""What all figures share: sheets of labelled panels, and one way of saving a figure with its numbers."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.errors import InputError
+
+DPI = 200
+BEFORE = (0.985, 0.925, 0.935)
+AFTER = (0.915, 0.965, 0.925)
+PLAIN = (1.0, 1.0, 1.0)
+
+Image = NDArray[np.uint8]
+Cell = str | int | float | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers of a figure.
+
+    columns : names, the first ones saying what a row is.
+    rows : one cell a column.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure and the numbers that it shows."""
+
+    figure: Any
+    table: Table
+
+
+def new_figure(width: float, height: float) -> Any:
+    """Return an empty matplotlib figure of a size in inches.
+
+    Raises
+    ------
+    InputError
+        matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise InputError("figures need matplotlib: pip install 'clalign[plots]'") from error
+    return Figure(figsize=(width, height))
+
+
+def save_drawing(drawing: Drawing, folder: Path, stem: str) -> list[Path]:
+    """Write ``STEM.png``, ``STEM.svg`` and ``STEM.csv``; the same drawing gives the same bytes.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    import matplotlib
+
+    paths = [folder / f"{stem}.{ending}" for ending in ("png", "svg", "csv")]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with matplotlib.rc_context({"svg.hashsalt": stem, "svg.fonttype": "path"}):
+            drawing.figure.savefig(paths[0], dpi=DPI)
+            drawing.figure.savefig(paths[1], dpi=DPI, metadata={"Date": None})
+        with paths[2].open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(drawing.table.columns)
+            writer.writerows([[_cell_text(cell) for cell in row] for row in drawing.table.rows])
+    except OSError as error:
+        raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from error
+    return paths
+
+
+def panel_sheet(
+    grid: Sequence[Sequence[Image]],
+    *,
+    columns: Sequence[str] = (),
+    rows: Sequence[str] = (),
+    notes: Sequence[str] = (),
+    gaps_after: Sequence[int] = (),
+) -> Any:
+    """Return a figure of images of one size in rows and columns.
+
+    Parameters
+    ----------
+    grid : rows of (h, w, 3) uint8 images, all of one shape.
+    columns : words above the columns.
+    rows : words to the left of the rows, turned by a quarter.
+    notes : words below the columns.
+    gaps_after : columns (from 0) that are followed by a gap.
+    """
+    height, width = grid[0][0].shape[:2]
+    gap = max(6, width // 6)
+    left = 60 if rows else 8
+    top = 44 * (1 + max((label.count("\n") for label in columns), default=0)) if columns else 8
+    bottom = 40 * (1 + max((note.count("\n") for note in notes), default=0)) if notes else 8
+    lefts = [left + column * width + gap * sum(column > g for g in gaps_after) for column in range(len(grid[0]))]
+    size = (lefts[-1] + width + 8, top + len(grid) * height + bottom)
+    canvas = np.full((size[1], size[0], 3), 255, dtype=np.uint8)
+    for number, images in enumerate(grid):
+        for place, image in zip(lefts, images, strict=True):
+            canvas[top + number * height : top + (number + 1) * height, place : place + width] = image
+    figure = new_figure(size[0] / DPI, size[1] / DPI)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set_axis_off()
+    axes.imshow(canvas, extent=(0, size[0], size[1], 0), interpolation="none", aspect="auto")
+    style = {"fontsize": 7, "ha": "center"}
+    for place, label in zip(lefts, columns, strict=False):
+        axes.text(place + width / 2, top - 8, label, va="bottom", **style)
+    for place, note in zip(lefts, notes, strict=False):
+        axes.text(place + width / 2, size[1] - bottom + 8, note, va="top", **style)
+    for number, label in enumerate(rows):
+        axes.text(left - 12, top + (number + 0.5) * height, label, rotation=90, va="center", **style | {"ha": "right"})
+    return figure
+
+
+def _cell_text(cell: Cell) -> str | int:
+    if cell is None:
+        return ""
+    return f"{cell:.6g}" if isinstance(cell, float) else cell
