@@ -1,4 +1,4 @@
-"""Folders that are written wholly or not at all.
+"""Folders, and groups of files, that are written wholly or not at all.
 
 A folder is built beside its destination under a name that starts with a dot, flushed to the disk, and renamed. A kill
 at any moment leaves the old folder, the new one, or (between two renames) the old one under a name that `recover`
@@ -13,7 +13,7 @@ import os
 import secrets
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from clalign.errors import ResultError
@@ -87,6 +87,57 @@ def atomic_folder(folder: Path, marker: str, *, force: bool = False) -> Iterator
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
         _unlock(lock)
+
+
+@contextlib.contextmanager
+def atomic_files(paths: Sequence[Path], *, force: bool = False) -> Iterator[list[Path]]:
+    """Yield a temporary path for each of several files of one folder; they appear when the block ends without an error.
+
+    The first is the main one, the others belong to it. They are removed before it is replaced and come after it, so
+    that a companion which is there at all fits, even after a kill between two renames.
+
+    Raises
+    ------
+    ResultError
+        A file exists and may not be replaced, or the operating system refused to write; nothing is left behind then.
+    """
+    check_files(paths, force=force)
+    main, *companions = (path.absolute() for path in paths)
+    temporary: Path | None = None
+    lock: int | None = None
+    try:
+        main.parent.mkdir(parents=True, exist_ok=True)
+        _remove_leftovers(main)
+        temporary, lock = _locked_temporary(main)
+        yield [temporary / path.name for path in (main, *companions)]
+        _flush(temporary)
+        for path in companions:
+            path.unlink(missing_ok=True)
+        for path in (main, *companions):
+            os.replace(temporary / path.name, path)
+        _flush_one(main.parent)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ResultError(f"{paths[0]}: could not be written ({reason}); nothing was left half-written") from error
+    finally:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+        _unlock(lock)
+
+
+def check_files(paths: Sequence[Path], *, force: bool) -> None:
+    """Refuse files that exist and may not be replaced, before any long work is done for them.
+
+    Raises
+    ------
+    ResultError
+        Naming the first such file.
+    """
+    for path in paths:
+        if path.is_dir():
+            raise ResultError(f"{path}: is a folder; name a file")
+        if not force and (path.exists() or path.is_symlink()):
+            raise ResultError(f"{path}: already exists; give --force to replace it, or another name")
 
 
 def recover(folder: Path) -> None:

@@ -34,9 +34,8 @@ def save_mesh(
         for another suffix, colours that do not fit, or a file that cannot be written.
     """
     path = Path(path)
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise MeshError(f"{path}: meshes are not written as '{path.suffix}'; use one of {', '.join(_WRITERS)}")
+    require_format(path)
+    writer = _WRITERS[path.suffix.lower()]
     points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
     triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
     content = writer(points, triangles, None if colours is None else _colour_bytes(colours, len(points), path))
@@ -49,6 +48,12 @@ def save_mesh(
         raise MeshError(
             f"{path}: cannot be written ({error.strerror}); check the folder and its access rights"
         ) from error
+
+
+def require_format(path: Path) -> None:
+    """Raise MeshError unless meshes can be written as the suffix says."""
+    if path.suffix.lower() not in _WRITERS:
+        raise MeshError(f"{path}: meshes are not written as '{path.suffix}'; use one of {', '.join(_WRITERS)}")
 
 
 def _colour_bytes(colours: ArrayLike, count: int, path: Path) -> NDArray[np.uint8]:

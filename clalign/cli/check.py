@@ -1,0 +1,269 @@
+"""``clalign check MESH…``: what is wrong with a mesh, what the program does about it, and what a match would cost."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clalign.cli.terminal import Terminal, table
+
+if TYPE_CHECKING:
+    from clalign.alignment.forecast import Forecast
+    from clalign.geometry.mesh_defects import Diagnosis
+    from clalign.options import Options
+
+EXIT_UNUSABLE = 2
+INDEX_SUFFIX = ".index.txt"
+
+_DESCRIPTION = """\
+Examine mesh files: what is wrong with each, what the program does about it when it loads the mesh, and the time and
+memory that a match with a mesh of the same size will take (with two meshes: a match of the two).
+
+--repair OUT writes a cleaned copy of one mesh (.ply, .off or .obj), and beside it OUT.index.txt, whose line i holds
+the vertex of MESH (counted from 0) that vertex i of OUT was. A number can appear twice where the surface was cut.
+"""
+
+_EPILOG = """\
+examples:
+  clalign check cat0.off cat7.off
+  clalign check scan.ply --repair clean.ply
+  clalign check cut-at-seams.obj --repair clean.ply --merge
+
+exit status: 0 every mesh can be used as it is (with --repair: the copy was written), 2 not
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``check`` to the program."""
+    parser = subparsers.add_parser(
+        "check",
+        help="examine meshes, and repair them",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("meshes", metavar="MESH", nargs="+", type=Path, help="OFF, PLY, OBJ or STL file")
+    parser.add_argument("--repair", metavar="OUT", type=Path, help="write a cleaned copy of the one MESH")
+    parser.add_argument("--merge", action="store_true", help="with --repair: first join vertices at equal positions")
+    parser.add_argument("--force", action="store_true", help="replace OUT and OUT.index.txt if they exist")
+    parser.add_argument("--preset", metavar="NAME", default="default", help="preset that the forecast is for")
+    parser.add_argument("--json", action="store_true", help="print the findings as one JSON document")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Examine every mesh, repair one if asked to, and return 0 if all of it can be used."""
+    from clalign.options import Options
+
+    _check_usage(args)
+    options = Options.preset(args.preset)
+    found = [examine(path, options) for path in args.meshes]
+    document: dict[str, Any] = {"meshes": found, "usable": all(mesh["usable"] for mesh in found)}
+    if len(found) == 2 and document["usable"]:
+        document["match"] = _forecast([mesh["used"]["vertices"] for mesh in found], options)
+    usable = document["usable"]
+    if args.repair is not None:
+        document["repaired"] = repair_file(args.meshes[0], args.repair, merge=args.merge, force=args.force)
+        usable = True
+    terminal = Terminal(as_json=args.json)
+    for line in report(document):
+        terminal.say(line)
+    terminal.document(document)
+    return 0 if usable else EXIT_UNUSABLE
+
+
+def _check_usage(args: argparse.Namespace) -> None:
+    """Find every mistake in the arguments before any mesh is read."""
+    from clalign.errors import OptionError
+    from clalign.geometry.mesh_writing import require_format
+    from clalign.storage import check_files
+
+    if args.repair is None:
+        if args.merge or args.force:
+            raise OptionError("--merge and --force belong to --repair OUT")
+        return
+    if len(args.meshes) != 1:
+        raise OptionError(f"--repair writes one file; give one MESH, not {len(args.meshes)}")
+    if args.repair.absolute() == args.meshes[0].absolute():
+        raise OptionError(
+            f"--repair {args.repair}: is the mesh itself; give another name, the original is worth keeping"
+        )
+    require_format(args.repair)
+    check_files(repaired_paths(args.repair), force=args.force)
+
+
+def repaired_paths(out: Path) -> list[Path]:
+    """Return the files that ``--repair`` writes: the mesh and its index map."""
+    return [out, out.with_name(out.name + INDEX_SUFFIX)]
+
+
+def examine(path: Path, options: Options) -> dict[str, Any]:
+    """Return every finding about one file as plain values.
+
+    Parameters
+    ----------
+    path : a mesh file; that it cannot be read is a finding, too.
+    options : what the forecast is for.
+    """
+    from clalign.errors import MeshError
+    from clalign.geometry.mesh_checks import diagnose
+    from clalign.geometry.mesh_files import read_mesh_file
+
+    try:
+        raw = read_mesh_file(path)
+        diagnosis = diagnose(raw.vertices, raw.faces, str(path))
+    except MeshError as error:
+        return {"path": str(path), "usable": False, "error": str(error).removeprefix(f"{path}: ")}
+    found: dict[str, Any] = {
+        "path": str(path),
+        "usable": not diagnosis.refused,
+        "file": {"vertices": diagnosis.n_vertices, "triangles": diagnosis.n_faces},
+        "notes": list(raw.notes),
+        "findings": _findings(diagnosis, str(path)),
+    }
+    if found["usable"]:
+        found |= _surface_facts(diagnosis, str(path))
+        found["forecast"] = _forecast([found["used"]["vertices"]] * 2, options)
+    return found
+
+
+def _findings(diagnosis: Diagnosis, path: str) -> list[dict[str, Any]]:
+    return [
+        {
+            "kind": defect.kind,
+            "severity": str(defect.severity),
+            "count": defect.count,
+            "sentence": defect.sentence(),
+            "vertices": list(defect.vertices),
+            "faces": list(defect.faces),
+            "action": defect.action,
+            "way_out": defect.way_out(path),
+        }
+        for defect in diagnosis.defects
+    ]
+
+
+def _surface_facts(diagnosis: Diagnosis, path: str) -> dict[str, Any]:
+    """Return counts, topology and size of a surface that can be used; lengths in the file's unit."""
+    import numpy as np
+
+    from clalign.geometry.mesh import unit_area
+
+    surface = diagnosis.usable_surface(path, path)
+    _, scale, _ = unit_area(surface.vertices, surface.faces)
+    return {
+        "used": {"vertices": len(surface.vertices), "triangles": len(surface.faces)},
+        "pieces": diagnosis.components,
+        "boundaries": diagnosis.boundary_loops,
+        "euler_characteristic": diagnosis.euler_characteristic,
+        "genus": diagnosis.genus,
+        "area": scale**2,
+        "scale": scale,
+        "extent": [float(length) for length in np.ptp(surface.vertices, axis=0)],
+    }
+
+
+def _forecast(counts: list[int], options: Options) -> dict[str, Any]:
+    from clalign.alignment.forecast import available_memory, forecast
+
+    predicted: Forecast = forecast(counts[0], counts[1], options)
+    return {"seconds": predicted.seconds, "memory": predicted.memory, "available": available_memory()}
+
+
+def repair_file(path: Path, out: Path, *, merge: bool, force: bool) -> dict[str, Any]:
+    """Write a repaired copy of a mesh file with the index map beside it, both or neither.
+
+    Raises
+    ------
+    MeshError
+        The file cannot be read or nothing usable is left of it.
+    ResultError
+        The copy cannot be written.
+    """
+    from clalign.correspondence import write_map
+    from clalign.errors import MeshError
+    from clalign.geometry.mesh_files import read_mesh_file
+    from clalign.geometry.mesh_repair import repair
+    from clalign.geometry.mesh_writing import save_mesh
+    from clalign.storage import atomic_files
+
+    raw = read_mesh_file(path)
+    try:
+        repaired = repair(raw.vertices, raw.faces, merge=merge)
+    except MeshError as error:
+        raise MeshError(f"{path}: {error}") from error
+    paths = repaired_paths(out)
+    with atomic_files(paths, force=force) as (mesh_path, index_path):
+        save_mesh(mesh_path, repaired.vertices, repaired.faces)
+        write_map(index_path, repaired.file_index)
+    return {
+        "mesh": str(paths[0]),
+        "index": str(paths[1]),
+        "vertices": len(repaired.vertices),
+        "triangles": len(repaired.faces),
+        "notes": [*raw.notes, *repaired.notes],
+    }
+
+
+def report(document: dict[str, Any]) -> list[str]:
+    """Return the document as lines for a person."""
+    lines: list[str] = []
+    for mesh in document["meshes"]:
+        lines += _mesh_lines(mesh)
+    if "match" in document:
+        lines.append(f"matching the two: {_cost(document['match'])}")
+    if "repaired" in document:
+        lines += _repair_lines(document["repaired"])
+    return lines
+
+
+def _mesh_lines(mesh: dict[str, Any]) -> list[str]:
+    if "error" in mesh:
+        return [f"{mesh['path']}: not usable", *table([("refused", mesh["error"])])]
+    file, used = mesh["file"], mesh.get("used")
+    rows = [("file", _counts(file))]
+    if used is not None:
+        if used != file:
+            rows.append(("used", _counts(used)))
+        extent = " x ".join(f"{length:.4g}" for length in mesh["extent"])
+        rows += [
+            ("surface", f"one piece, {_boundaries(mesh['boundaries'])}, genus {mesh['genus']}"),
+            ("size", f"area {mesh['area']:.4g}, box {extent}; one unit of the results is {mesh['scale']:.4g}"),
+        ]
+    rows += [("note", note) for note in mesh["notes"]]
+    rows += [(finding["severity"], finding["sentence"]) for finding in mesh["findings"]]
+    ways = dict.fromkeys(finding["way_out"] for finding in mesh["findings"] if finding["way_out"])
+    rows += [("way out", way) for way in ways]
+    if used is not None:
+        rows.append(("match", f"{_cost(mesh['forecast'])}, with a mesh of this size"))
+    return [f"{mesh['path']}: {'usable' if mesh['usable'] else 'not usable'}", *table(rows)]
+
+
+def _counts(sizes: dict[str, Any]) -> str:
+    triangles = "1 triangle" if sizes["triangles"] == 1 else f"{sizes['triangles']:,} triangles"
+    return f"{sizes['vertices']:,} vertices, {triangles}"
+
+
+def _boundaries(count: int) -> str:
+    return "closed" if not count else "1 boundary" if count == 1 else f"{count} boundaries"
+
+
+def _cost(predicted: dict[str, Any]) -> str:
+    available = predicted["available"]
+    room = "" if available is None else f" of {available / 2**30:.1f} GiB that are free"
+    verdict = " (TOO MUCH)" if available is not None and predicted["memory"] > available else ""
+    return f"about {_duration(predicted['seconds'])}, {predicted['memory'] / 2**30:.1f} GiB{room}{verdict}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{max(5 * round(seconds / 5), 5)} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _repair_lines(repaired: dict[str, Any]) -> list[str]:
+    rows = [("changed", note) for note in repaired["notes"]] or [("changed", "nothing; the mesh needed no repair")]
+    rows.append(("index", f"{repaired['index']}: line i holds the vertex of the original that vertex i was"))
+    return [f"wrote {repaired['mesh']}: {_counts(repaired)}", *table(rows)]
