@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import types
 from collections.abc import Callable
 from pathlib import Path
 
@@ -102,3 +103,35 @@ def test_show_opens_the_page(run: Run, result: Path, monkeypatch: pytest.MonkeyP
     assert run("show", result, "--page") == 0
     assert opened == [(result / "report.html").as_uri()]
     assert (result / "report.html").stat().st_size > 500_000
+
+
+class _Plotter:
+    """Stands in for pyvista's plotter and remembers what it was given."""
+
+    meshes: list[tuple[np.ndarray, np.ndarray]]
+
+    def __init__(self, **options: object) -> None:
+        self.off_screen = options["off_screen"]
+        _Plotter.meshes = []
+
+    def add_mesh(self, surface: tuple[np.ndarray, np.ndarray], *, scalars: np.ndarray, **_: object) -> None:
+        _Plotter.meshes.append((surface[0], scalars))
+
+    def screenshot(self, path: str) -> None:
+        assert self.off_screen
+        Path(path).write_bytes(b"picture")
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda *_, **__: None
+
+
+def test_show_gives_the_viewer_matching_colours(
+    run: Run, small: Correspondence, result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library = types.SimpleNamespace(Plotter=_Plotter, PolyData=lambda points, faces: (points, faces))
+    monkeypatch.setitem(sys.modules, "pyvista", library)
+    assert run("show", result, "--screenshot", tmp_path / "shot.png") == 0
+    (points, source), (_, target) = _Plotter.meshes
+    assert len(points) == small.source.n_vertices
+    assert np.allclose(source, target[small.target_of_source[1:] - 1])
+    assert (tmp_path / "shot.png").exists()
