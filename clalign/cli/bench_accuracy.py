@@ -135,7 +135,7 @@ def _bench(layouts: Sequence[Layout], args: argparse.Namespace) -> int:
     try:
         finished = run(
             limited,
-            named_methods([name.strip() for name in args.methods.split(",")], _changes(args)),
+            named_methods([name.strip() for name in args.methods.split(",")], option_changes(args)),
             args.out,
             jobs=args.jobs,
             measurement=Measurement(args.points, args.seed, args.distances),
@@ -148,7 +148,14 @@ def _bench(layouts: Sequence[Layout], args: argparse.Namespace) -> int:
     return _report(finished, args, terminal)
 
 
-def _changes(args: argparse.Namespace) -> dict[str, Any]:
+def option_changes(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the changes to options that ``--seed``, ``--device`` and every ``--set`` ask for.
+
+    Raises
+    ------
+    OptionError
+        A ``--set`` without a value.
+    """
     from clalign.errors import OptionError
 
     changes: dict[str, Any] = {"seed": args.seed}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -19,6 +19,9 @@ from .pairs import Problem
 
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
+    from clalign.geometry.cache import ShapeCache
+
+Progress = Callable[[str, float, str], None]
 
 
 @dataclass(frozen=True)
@@ -69,12 +72,18 @@ class AlignMethod:
 
         return f"{clalign.__version__}-{digest(self.options.as_dict())}"
 
-    def __call__(self, problem: Problem) -> Outcome:
-        """Match one pair."""
+    def correspondence(
+        self, problem: Problem, cache: ShapeCache | None = None, progress: Progress | None = None
+    ) -> Correspondence:
+        """Return the whole result of one pair."""
         import clalign
 
+        return clalign.match(problem.source, problem.target, self.options, cache=cache, progress=progress)
+
+    def __call__(self, problem: Problem) -> Outcome:
+        """Match one pair."""
         start = time.perf_counter()
-        result = clalign.match(problem.source, problem.target, self.options)
+        result = self.correspondence(problem)
         return outcome_of(result, time.perf_counter() - start)
 
 
@@ -92,18 +101,25 @@ class IsometricMethod:
 
         return f"{clalign.__version__}-isometric-{digest(self.options.as_dict())}"
 
-    def __call__(self, problem: Problem) -> Outcome:
-        """Match one pair with the target's distances taken from the source."""
+    def correspondence(
+        self, problem: Problem, cache: ShapeCache | None = None, progress: Progress | None = None
+    ) -> Correspondence:
+        """Return the whole result of one pair, matched with the target's distances taken from the source."""
+        from clalign.alignment.pipeline import Clock
         from clalign.engine import open_backend
         from clalign.geometry.shape import prepare_pair
         from clalign.matching import match_shapes
 
         from .isometric import with_distances_of
 
-        start = time.perf_counter()
-        source, target = prepare_pair(problem.source, problem.target, self.options, None)
+        source, target = prepare_pair(problem.source, problem.target, self.options, cache)
         carried = with_distances_of(target, source, problem.truth)
-        result = match_shapes(source, carried, open_backend(self.options.engine), self.options)
+        return match_shapes(source, carried, open_backend(self.options.engine), self.options, Clock(progress))
+
+    def __call__(self, problem: Problem) -> Outcome:
+        """Match one pair."""
+        start = time.perf_counter()
+        result = self.correspondence(problem)
         return outcome_of(result, time.perf_counter() - start)
 
 
@@ -127,18 +143,47 @@ NAMED_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "default": ("default", {}),
     "fast": ("fast", {}),
     "cycle": ("default", {"alignment.cycle": True}),
-    "heat-kernel": ("default", {"spectrum.metric": "heat-kernel"}),
     "one-sided": ("default", {"alignment.sides": "one"}),
+    "unitarity": ("default", {"alignment.unitarity": 100.0}),
+    "differentiated": ("default", {"alignment.denominator": "differentiated"}),
+    "uniform": ("default", {"alignment.weights": "uniform"}),
+    "full-band": ("default", {"alignment.band": "full"}),
+    "diagonal-band": ("default", {"alignment.band": "diagonal"}),
+    "no-band": ("default", {"alignment.band": "none"}),
+    "euclidean": ("default", {"spectrum.metric": "euclidean"}),
+    "regularized": ("default", {"spectrum.metric": "regularized"}),
+    "heat-kernel": ("default", {"spectrum.metric": "heat-kernel"}),
     "search-only": ("default", {"alignment.rounds": 0, "readout.refine": "none", "readout.steps": 0}),
+    "mirrored": ("default", {"search.orientation": "reversing"}),
     "paper": ("paper", {}),
+    "paper-searched": ("paper", {"search.method": "tree"}),
     "paper-cycle": ("paper", {"alignment.cycle": True}),
     "paper-heat-kernel": ("paper", {"spectrum.metric": "heat-kernel"}),
     "paper-one-sided": ("paper", {"alignment.sides": "one"}),
 }
 
+#: Methods whose target has the source's distances, by the preset of their other options.
+ISOMETRIC_PRESETS = {"isometric": "default", "paper-isometric": "paper"}
+
+
+def own_method(name: str, changes: Mapping[str, Any]) -> AlignMethod | IsometricMethod:
+    """Return a variant of our own method by its name in `NAMED_OPTIONS` or `ISOMETRIC_PRESETS`.
+
+    Raises
+    ------
+    OptionError
+        No such method or option.
+    """
+    if name in ISOMETRIC_PRESETS:
+        return IsometricMethod(name, Options.preset(ISOMETRIC_PRESETS[name]).replace(changes))
+    if name in NAMED_OPTIONS:
+        preset, own = NAMED_OPTIONS[name]
+        return AlignMethod(name, Options.preset(preset).replace({**own, **changes}))
+    raise OptionError(f"unknown method {name!r}; there are {', '.join(method_names())}")
+
 
 def named_methods(names: Sequence[str], changes: Mapping[str, Any]) -> list[Method]:
-    """Return the methods of some names of `NAMED_OPTIONS`, or "pyfm"; `changes` to options apply to all of ours.
+    """Return the methods of some `method_names`; `changes` to options apply to all of ours.
 
     Raises
     ------
@@ -147,18 +192,12 @@ def named_methods(names: Sequence[str], changes: Mapping[str, Any]) -> list[Meth
     """
     from .peers import PyfmMethod
 
-    methods: list[Method] = []
-    for name in names:
-        if name == "pyfm":
-            methods.append(PyfmMethod())
-        elif name == "paper-isometric":
-            methods.append(IsometricMethod(name, Options.preset("paper").replace(changes)))
-        elif name in NAMED_OPTIONS:
-            preset, own = NAMED_OPTIONS[name]
-            methods.append(AlignMethod(name, Options.preset(preset).replace({**own, **changes})))
-        else:
-            raise OptionError(f"unknown method {name!r}; there are {', '.join(NAMED_OPTIONS)}, paper-isometric, pyfm")
-    return methods
+    return [PyfmMethod() if name == "pyfm" else own_method(name, changes) for name in names]
+
+
+def method_names() -> tuple[str, ...]:
+    """Return every name that a benchmark can be asked for."""
+    return (*NAMED_OPTIONS, *ISOMETRIC_PRESETS, "pyfm")
 
 
 def digest(values: Mapping[str, Any]) -> str:

@@ -20,7 +20,7 @@ from clalign.evaluation.spectral_errors import (
     true_rotation,
 )
 
-from .sheet import AFTER, BEFORE, Drawing, Image, Table, panel_sheet
+from .sheet import AFTER, BEFORE, Cell, Drawing, Image, Table, panel_sheet
 from .surfaces import PairView
 
 #: Paper's numbers (from 1) of the functions of Fig. 1.
@@ -155,18 +155,10 @@ def _block_text(pair: PairRotation) -> str:
 def _rotation_table(
     place: int, blocks: tuple[PairRotation, PairRotation], errors: Sequence[NDArray[np.float64]]
 ) -> Table:
-    rows = tuple(
-        (
-            label,
-            place + 1,
-            place + 2,
-            *(float(entry) for entry in pair.block.ravel()),
-            pair.angle,
-            str(pair.reflected).lower(),
-            pair.kept,
-            *(float(error) for error in measured),
-        )
-        for label, pair, measured in zip(("truth, before", "recovered, after"), blocks, errors, strict=True)
-    )
+    rows: list[tuple[Cell, ...]] = []
+    for label, pair, measured in zip(("truth, before", "recovered, after"), blocks, errors, strict=True):
+        entries = (float(entry) for entry in pair.block.ravel())
+        turn = (pair.angle, str(pair.reflected).lower(), pair.kept)
+        rows.append((label, place + 1, place + 2, *entries, *turn, *(float(error) for error in measured)))
     names = ("matrix", "first", "second", "c11", "c12", "c21", "c22", "degrees", "reflected", "kept")
-    return Table((*names, "error_first", "error_second"), rows)
+    return Table((*names, "error_first", "error_second"), tuple(rows))

@@ -1,0 +1,203 @@
+"""``clalign figures``: the paper's figures, drawn of any pair, with the numbers beside them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from clalign.cli.bench_accuracy import option_changes
+from clalign.cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from clalign.correspondence import Correspondence
+    from clalign.evaluation.pairs import Problem
+    from clalign.presentation.figures.gallery import Subject
+
+DEFAULT_FOLDER = Path("clalign-figures")
+
+_DESCRIPTION = """\
+Draw the paper's figures of a pair: a result folder of 'clalign match', two mesh files, or the bundled pair when nothing
+is named. Each becomes figure-N.png, figure-N.svg and figure-N.csv with the numbers. A folder of 'clalign bench' gives
+the error curves (--which 5) of all its pairs.
+"""
+
+_EPILOG = """\
+figures:
+  1  eigenfunctions 2-5, 12-15, 22-25 on both shapes, before and after alignment
+  2  a rotation inside a pair of eigenfunctions, and the one recovered        (needs --truth)
+  3  |C~| from the truth with its funnel, and the mask                        (needs --truth)
+  5  error curves of the method as printed, its variants and this program     (needs --truth; matches 5 times)
+  6  matched colours
+  7  the paper's start, a mirrored result, and the search that avoids it      (needs --truth; matches 3 times)
+  8  one eigenfunction under the variants                                     (needs --truth; matches 3 times)
+  9  err(k) of every eigenfunction: unaligned, aligned, cycle term, isometry  (needs --truth; matches 3 times)
+truth: as of 'clalign evaluate'; the bundled pair has its own
+examples:
+  clalign figures --which 1,2,3,6,9
+  clalign figures a.ply b.ply --truth identity --mirror mirror.txt --which all
+  clalign figures clalign-bench-faust --which 5
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``figures`` to the program."""
+    parser = subparsers.add_parser(
+        "figures",
+        help="draw the paper's figures",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("paths", metavar="RESULT|SOURCE TARGET", nargs="*", type=Path, help="what figures are drawn of")
+    parser.add_argument("--which", metavar="NUMBERS", default="all", help="comma-separated, or 'all' (default)")
+    parser.add_argument("--out", metavar="DIR", type=Path, default=DEFAULT_FOLDER, help="folder (default: %(default)s)")
+    parser.add_argument("--truth", metavar="FILE", nargs="+", help="the true map: 'identity', one file, or two")
+    parser.add_argument("--truth-base", type=int, choices=(0, 1), help="first vertex number in the truth")
+    parser.add_argument("--mirror", metavar="FILE", help="line i: number (from 0) of the mirror image of point i")
+    parser.add_argument("--variants", metavar="NAMES", help="methods of 'clalign bench' in figures 5, 7, 8 and 9")
+    parser.add_argument("--index", metavar="K", type=int, default=7, help="eigenfunction of figure 8 (default: 7)")
+    parser.add_argument(
+        "--pair-index", metavar="K", type=int, help="first eigenfunction of figure 2 (default: most turned)"
+    )
+    parser.add_argument(
+        "--set", metavar="GROUP.NAME=VALUE", action="append", default=[], dest="changes", help="change an option of all"
+    )
+    parser.add_argument("--device", metavar="SPEC", help="as of 'clalign match'")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="seed of everything that is drawn")
+    parser.add_argument("--no-cache", action="store_true", help="compute everything anew and store nothing for later")
+    parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
+    parser.add_argument("--json", action="store_true", help="print the names of the files as one JSON document")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Draw the figures of the command line; those that were asked for by number must be possible."""
+    from clalign.evaluation.records import RECORDS_FILE
+    from clalign.presentation.figures.gallery import PLANS, draw_recorded_curves
+    from clalign.presentation.figures.sheet import save_drawing
+
+    terminal = Terminal(quiet=args.quiet, as_json=args.json)
+    wanted = _wanted(args.which, tuple(PLANS))
+    written: dict[str, list[str]] = {}
+    if len(args.paths) == 1 and (args.paths[0] / RECORDS_FILE).is_file():
+        _check_recorded(args.which, wanted)
+        paths = save_drawing(draw_recorded_curves(args.paths[0]), args.out, "figure-5")
+        written["5"] = [str(path) for path in paths]
+    else:
+        subject = _subject(args, terminal)
+        for number in _possible(wanted, subject, explicit=args.which != "all", terminal=terminal):
+            terminal.note(f"figure {number}: {PLANS[number].title}")
+            paths = save_drawing(PLANS[number].draw(subject), args.out, f"figure-{number}")
+            written[number] = [str(path) for path in paths]
+    for number, names in written.items():
+        terminal.say(f"figure {number}: {', '.join(names)}")
+    terminal.document({"figures": written})
+    return 0
+
+
+def _wanted(text: str, known: tuple[str, ...]) -> list[str]:
+    from clalign.errors import OptionError
+
+    if text == "all":
+        return list(known)
+    numbers = [number.strip() for number in text.split(",") if number.strip()]
+    unknown = [number for number in numbers if number not in known]
+    if unknown or not numbers:
+        raise OptionError(f"--which {text}: there are {', '.join(known)} and 'all'")
+    return list(dict.fromkeys(numbers))
+
+
+def _check_recorded(text: str, wanted: list[str]) -> None:
+    from clalign.errors import OptionError
+
+    if text != "all" and wanted != ["5"]:
+        raise OptionError("the folder of a benchmark has error curves only: ask for --which 5")
+
+
+def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: Terminal) -> list[str]:
+    from clalign.errors import OptionError
+    from clalign.presentation.figures.gallery import PLANS
+
+    lacking = [number for number in wanted if PLANS[number].needs_truth and not subject.has_truth]
+    if lacking and explicit:
+        raise OptionError(f"figure {', '.join(lacking)} cannot be drawn without --truth")
+    if lacking:
+        terminal.warn(f"without --truth there is no figure {', '.join(lacking)}")
+    return [number for number in wanted if number not in lacking]
+
+
+def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
+    """Read the pair, its truth and what is matched already."""
+    from clalign.errors import OptionError
+    from clalign.evaluation.variants import VariantRuns
+    from clalign.geometry.cache import ShapeCache
+    from clalign.presentation.figures.gallery import MAIN, Subject
+
+    if len(args.paths) > 2:
+        raise OptionError(f"name one result folder or two meshes, not {len(args.paths)} paths")
+    known: Correspondence | None = None
+    if not args.paths:
+        problem = _bundled()
+    else:
+        problem, known = _named(args)
+    runs = VariantRuns(
+        problem,
+        option_changes(args),
+        cache=None if args.no_cache else ShapeCache(),
+        watch=_watch(terminal),
+        known={} if known is None else {MAIN: known},
+    )
+    names = tuple(name.strip() for name in (args.variants or "").split(",") if name.strip())
+    return Subject(problem, runs, names, args.index, args.pair_index)
+
+
+def _watch(terminal: Terminal) -> Callable[[str], Callable[[str, float, str], None]]:
+    def watch(name: str) -> Callable[[str, float, str], None]:
+        terminal.note(f"matching by {name}")
+        return terminal.progress()
+
+    return watch
+
+
+def _bundled() -> Problem:
+    from clalign.data import bundled_pair
+    from clalign.evaluation.pairs import Problem
+    from clalign.evaluation.truth import read_index_truth
+    from clalign.geometry.mesh import load_mesh
+
+    pair = bundled_pair()
+    source, target = load_mesh(pair.source), load_mesh(pair.target)
+    truth, mirrored = (
+        read_index_truth(path, source_count=source.file_count, target_count=target.file_count)
+        for path in (pair.truth, pair.mirrored)
+    )
+    return Problem("bundled humans", source, target, truth, mirrored)
+
+
+def _named(args: argparse.Namespace) -> tuple[Problem, Correspondence | None]:
+    import numpy as np
+
+    from clalign.cli.evaluate import read_truth
+    from clalign.correspondence import Correspondence
+    from clalign.errors import ResultError
+    from clalign.evaluation.pairs import Problem
+    from clalign.evaluation.truth import Truth, read_mirror
+    from clalign.geometry.mesh import load_mesh
+
+    known: Correspondence | None = None
+    if len(args.paths) == 1:
+        if not args.paths[0].is_dir():
+            raise ResultError(f"{args.paths[0]}: no result folder; a pair is named by two meshes")
+        known = Correspondence.load(args.paths[0])
+        source, target = known.source, known.target
+    else:
+        source, target = (load_mesh(path) for path in args.paths)
+    nothing = np.empty(0, dtype=np.int64)
+    truth, mirrored = Truth(nothing, nothing), None
+    if args.truth:
+        truth = read_truth(args.truth, args.truth_base, source, target)
+        mirrored = truth.mirrored(read_mirror(args.mirror)) if args.mirror else None
+    return Problem(f"{source.name} {target.name}", source, target, truth, mirrored), known

@@ -1,0 +1,163 @@
+"""Every figure by its number in the paper: what it needs and how it is drawn from a pair and its variants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from clalign.correspondence import Correspondence
+from clalign.errors import ResultError
+from clalign.evaluation.errors import Evaluation, evaluate
+from clalign.evaluation.pairs import Problem
+from clalign.evaluation.records import CURVES_FILE, RECORDS_FILE, Record, read_curves, read_records
+from clalign.evaluation.spectral_errors import TrueMaps, spectral_errors, true_maps
+from clalign.evaluation.table import mean_curve
+from clalign.evaluation.truth import Truth
+from clalign.evaluation.variants import VariantRuns, variant_label
+from clalign.presentation.curves import AXIS_LABELS
+
+from .eigenfunctions import SHOWN_INDEX, draw_eigenfunctions, draw_pair_rotation, draw_variants
+from .maps import draw_error_curves, draw_matched_colours, draw_mirrored
+from .sheet import Drawing
+from .spectral import draw_funnel, draw_spectral_errors
+
+MAIN = "default"
+CURVE_VARIANTS = ("paper", "paper-cycle", "paper-isometric", "paper-heat-kernel", MAIN)
+ALIGNED_VARIANTS = (MAIN, "cycle", "isometric")
+STARTS = ("paper", "mirrored", MAIN)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The pair that figures are drawn of.
+
+    Attributes
+    ----------
+    problem : the meshes and the truth; a truth without points is none.
+    runs : its matches by variants.
+    variants : names that replace a figure's own choice of variants; empty keeps it.
+    index : number of the eigenfunction of Fig. 8.
+    pair_index : number of the first eigenfunction of Fig. 2; None takes the pair that is turned most.
+    """
+
+    problem: Problem
+    runs: VariantRuns
+    variants: tuple[str, ...] = ()
+    index: int = SHOWN_INDEX
+    pair_index: int | None = None
+
+    @property
+    def result(self) -> Correspondence:
+        """The match by the default method."""
+        return self.runs(MAIN)
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether anything can be measured."""
+        return self.problem.truth.count > 0
+
+    @cached_property
+    def maps(self) -> TrueMaps:
+        """The truth; the found map where there is none."""
+        truth = self.problem.truth if self.has_truth else Truth.from_index(self.result.target_of_source)
+        return true_maps(self.result, truth)
+
+    def chosen(self, own: Sequence[str]) -> dict[str, Correspondence]:
+        """Return the matches of a figure by label."""
+        return {variant_label(name): self.runs(name) for name in self.variants or own}
+
+    def evaluated(self, results: dict[str, Correspondence]) -> dict[str, Evaluation]:
+        """Return the errors of matches by label; empty without a truth."""
+        if not self.has_truth:
+            return {}
+        problem = self.problem
+        return {label: evaluate(r, problem.truth, mirrored=problem.mirrored) for label, r in results.items()}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How one figure is made.
+
+    Attributes
+    ----------
+    title : what it shows.
+    draw : draws it.
+    needs_truth : nothing can be drawn without a truth.
+    """
+
+    title: str
+    draw: Callable[[Subject], Drawing]
+    needs_truth: bool = True
+
+
+def _curves(subject: Subject) -> Drawing:
+    evaluations = subject.evaluated(subject.chosen(CURVE_VARIANTS))
+    return draw_error_curves(
+        {
+            unit: {label: one.curve(per_diameter=unit == "diameter") for label, one in evaluations.items()}
+            for unit in AXIS_LABELS
+        }
+    )
+
+
+def _matched(subject: Subject) -> Drawing:
+    results = {subject.problem.name: subject.result}
+    return draw_matched_colours(results, subject.evaluated(results))
+
+
+def _mirrored(subject: Subject) -> Drawing:
+    results = subject.chosen(STARTS)
+    return draw_mirrored(results, subject.evaluated(results))
+
+
+def _spectral(subject: Subject) -> Drawing:
+    results = subject.chosen(ALIGNED_VARIANTS)
+    return draw_spectral_errors({label: spectral_errors(result, subject.maps) for label, result in results.items()})
+
+
+#: The paper's figures that can be computed; Fig. 4 is a diagram of the method.
+PLANS: dict[str, Plan] = {
+    "1": Plan(
+        "eigenfunctions before and after alignment",
+        lambda subject: draw_eigenfunctions(subject.result, subject.maps),
+        needs_truth=False,
+    ),
+    "2": Plan(
+        "a rotation inside a pair of eigenfunctions",
+        lambda subject: draw_pair_rotation(subject.result, subject.maps, subject.pair_index),
+    ),
+    "3": Plan("the true C̃ with its funnel", lambda subject: draw_funnel(subject.result, subject.maps)),
+    "5": Plan("error curves of the variants", _curves),
+    "6": Plan("matched colours", _matched, needs_truth=False),
+    "7": Plan("a mirrored result and the search that avoids it", _mirrored),
+    "8": Plan(
+        "one eigenfunction under the variants",
+        lambda subject: draw_variants(subject.chosen(ALIGNED_VARIANTS), subject.maps, subject.index),
+    ),
+    "9": Plan("alignment error over the eigenfunctions", _spectral),
+}
+
+
+def draw_recorded_curves(folder: Path) -> Drawing:
+    """Draw Fig. 5 from the folder of a benchmark: the mean curve over all pairs of each suite by each method.
+
+    Raises
+    ------
+    ResultError
+        The folder is not one of a benchmark, or has no pair in it.
+    """
+    groups: dict[str, list[Record]] = {}
+    records = {record.key: record for record in read_records(folder / RECORDS_FILE)}
+    suites = {record.suite for record in records.values()}
+    for record in records.values():
+        label = variant_label(record.method)
+        groups.setdefault(label if len(suites) == 1 else f"{record.suite}: {label}", []).append(record)
+    if not groups:
+        raise ResultError(f"{folder / RECORDS_FILE}: no pair in it")
+    drawn = {}
+    for unit in AXIS_LABELS:
+        curves = read_curves(folder / CURVES_FILE, unit)
+        drawn[unit] = {label: mean_curve(group, curves) for label, group in groups.items()}
+    return draw_error_curves(drawn)
