@@ -67,14 +67,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Carry one file and write what comes out."""
     from clalign.correspondence import Correspondence
+    from clalign.errors import ResultError
 
     correspondence = Correspondence.load(args.result)
-    if args.kind == "texture":
-        _texture(correspondence, args)
-    elif args.kind == "deformation":
-        _deformation(correspondence, args)
-    else:
-        _values(correspondence, args)
+    carry = {"texture": _texture, "deformation": _deformation}.get(args.kind, _values)
+    try:
+        carry(correspondence, args)
+    except OSError as error:
+        raise ResultError(f"{args.out}: cannot be written: {error.strerror or error}") from error
     print(f"wrote {args.out}")
     return 0
 

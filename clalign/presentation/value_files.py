@@ -46,7 +46,9 @@ def read_values(path: str | Path, *, whole: bool = False) -> NDArray:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, EOFError) as error:
         raise InputError(f"{path}: is not a table of numbers, one row a vertex: {error}") from error
-    if not np.issubdtype(values.dtype, np.number) or values.ndim not in (1, 2) or not values.size:
+    if not values.size:
+        raise InputError(f"{path}: holds no numbers; one row a vertex is needed")
+    if not np.issubdtype(values.dtype, np.number) or values.ndim not in (1, 2):
         raise InputError(f"{path}: holds {values.dtype} of shape {values.shape}; one row of numbers a vertex is needed")
     if values.ndim == 2 and values.shape[1] == 1:
         values = values[:, 0]

@@ -11,7 +11,7 @@ import pytest
 
 from clalign.cli import export, show, transfer
 from clalign.correspondence import Correspondence
-from clalign.errors import InputError
+from clalign.errors import InputError, ResultError
 from clalign.geometry.mesh import load_mesh
 from clalign.geometry.mesh_writing import save_mesh
 from clalign.presentation.exports import file_positions, write_textured_obj
@@ -51,6 +51,12 @@ def test_scalars_labels_and_landmarks(run: Run, small: Correspondence, result: P
     np.savetxt(tmp_path / "marks.txt", [5, 6], fmt="%d")
     assert run("transfer", result, "landmarks", tmp_path / "marks.txt", "--out", tmp_path / "m.txt") == 0
     assert np.array_equal(np.loadtxt(tmp_path / "m.txt", dtype=int), small.target_of_source[[5, 6]])
+
+
+def test_unwritable_output_is_named(run: Run, result: Path, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "in.txt", np.arange(643), fmt="%d")
+    with pytest.raises(ResultError, match="none/out.txt: cannot be written"):
+        run("transfer", result, "scalars", tmp_path / "in.txt", "--out", tmp_path / "none" / "out.txt")
 
 
 def test_colours_become_a_coloured_mesh(run: Run, small: Correspondence, result: Path, tmp_path: Path) -> None:
