@@ -55,7 +55,7 @@ def test_scalars_labels_and_landmarks(run: Run, small: Correspondence, result: P
 
 def test_unwritable_output_is_named(run: Run, result: Path, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "in.txt", np.arange(643), fmt="%d")
-    with pytest.raises(ResultError, match="none/out.txt: cannot be written"):
+    with pytest.raises(ResultError, match=r"none/out\.txt: cannot be written"):
         run("transfer", result, "scalars", tmp_path / "in.txt", "--out", tmp_path / "none" / "out.txt")
 
 
