@@ -78,6 +78,43 @@ def examine() -> dict[str, Any]:
     return findings
 
 
+def brief(message: str = "") -> list[str]:
+    """Return the facts that belong to every failure of OpenCL: loader, drivers, devices, and the next command.
+
+    No kernel is run for them; the question goes to a process of its own, so that a broken driver cannot end this one.
+
+    Parameters
+    ----------
+    message : of the failure; it is not repeated.
+    """
+    found = probe()
+    devices = found.get("devices", [])
+    pyopencl = _version("pyopencl")
+    libraries = ", ".join(Path(path).name for path in found.get("libraries", [])) or "no loader or driver is in use"
+    drivers = ", ".join(f"{Path(file).name} -> {library}" for file, library in vendor_files().items()) or "none"
+    lines = [f"OpenCL: pyopencl {pyopencl or 'is missing'}; {libraries}; driver files: {drivers}"]
+    lines += [_device_line(device) for device in devices]
+    if found.get("error", message) != message:
+        lines.append(f"devices: {found['error']}")
+    if devices:
+        return [*lines, "next: run 'clalign doctor', which tries the kernels on every device"]
+    findings = {"packages": {"pyopencl": pyopencl}, "kernels": _kernels(), "works": False, "devices": []}
+    return [*lines, f"next: {advice(findings, platform.system())[0]}; then 'clalign doctor'"]
+
+
+def _device_line(device: dict[str, Any]) -> str:
+    return (
+        f"device {device['platform']}:{device['device']} {device['name']} ({device['kind']}, "
+        f"{device['platform_name']}, driver {device['driver']}): {_memory(device)}, "
+        f"{'double' if device['double'] else 'no double'} precision"
+    )
+
+
+def _memory(device: dict[str, Any]) -> str:
+    gib = 1 / 2**30
+    return f"{device['memory'] * gib:.1f} GiB, largest buffer {device['largest_buffer'] * gib:.1f} GiB"
+
+
 def passed(answer: dict[str, Any]) -> bool:
     """Return whether a device's kernels ran and agreed."""
     return "error" not in answer and all(check["agrees"] for check in answer["checks"])
@@ -149,12 +186,11 @@ def report(findings: dict[str, Any]) -> list[str]:
 
 
 def _device_lines(device: dict[str, Any]) -> list[str]:
-    gib = 1 / 2**30
     rows = [
         ("platform", f"{device['platform_name']}, {device['version']}"),
         ("driver", device["driver"]),
         ("units", str(device["units"])),
-        ("memory", f"{device['memory'] * gib:.1f} GiB, largest buffer {device['largest_buffer'] * gib:.1f} GiB"),
+        ("memory", _memory(device)),
         ("double precision", "yes" if device["double"] else "no"),
     ]
     rows += [(f"kernels, {precision}", _check_line(answer)) for precision, answer in device["checks"].items()]

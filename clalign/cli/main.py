@@ -78,7 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             traceback.print_exc()
         print(f"error: {error}", file=sys.stderr)
         if isinstance(error, DeviceError):
-            print("run 'clalign doctor' to see what OpenCL finds on this machine", file=sys.stderr)
+            for line in doctor.brief(str(error)):
+                print(line, file=sys.stderr)
         return exit_status(error)
     except Exception as error:  # the last resort between a defect and a user
         if debug:

@@ -40,7 +40,7 @@ def _answer(arguments: list[str]) -> dict[str, Any]:
     try:
         return _checks(arguments[0], arguments[1]) if arguments else _devices()
     except ClalignError as error:
-        return {"error": str(error)}
+        return {"error": str(error), "libraries": _libraries()}
 
 
 def _devices() -> dict[str, Any]:
