@@ -9,9 +9,10 @@
  * product:     launch (ceil(row groups / groups), ceil(column panels / panels), splits);
  *              a, b reals; ranges (column panels, 2) int or NULL: first and last + 1 depth with anything in that panel;
  *              c (splits, m, n): split s sums depth s * split_depth .. (s + 1) * split_depth - 1
- * pack_panels: launch (column panels, ceil(depth / DP)); out (column panels, depth, W) = weight[t] b[t rs + j cs], zero
- *              beyond column n; weight (depth) or NULL
- * pack_tiles:  launch (tiles, ceil(depth / DP)); out (tiles, depth, RT) from row-major b (depth, n) likewise
+ * pack_panels: launch (column panels, ceil(depth / DP)); out (column panels, depth, W) = b[t rs + j cs], zero beyond
+ *              column n
+ * pack_tiles:  launch (tiles, ceil(depth / DP)); out (tiles, depth, RT) = weight[t] b[t, j] for row-major b
+ *              (depth, n); weight (depth) or NULL; columns beyond n are of no meaning
  * sum_splits:  launch (m n): c = scale * sum over splits of partial (splits, m n) [+ c]
  * numpy twins: clalign.engine.reference_arrays.ReferenceArrays.product, banded_product, weighted_gram
  */
@@ -62,8 +63,12 @@ KERNEL void product(const int m, const int n, const int depth, const int groups,
             for (int group = group_begin; group < group_end; ++group) {
                 const int rows = min(RT, m - group * RT);
                 TILE_BEGIN(a_row, rows)
-                TILE_STEPS(__global, b + panel * b_panel + (size_t)first * b_step, b_step,
-                           a + group * a_group + (size_t)first * a_step, a_step, last - first)
+                __global const real *from_a = a + group * a_group + (size_t)first * a_step;
+                __global const real *from_b = b + panel * b_panel + (size_t)first * b_step;
+                if (width > V)
+                    TILE_STEPS(__global, from_b, b_step, from_a, a_step, last - first)
+                else
+                    TILE_HALF_STEPS(__global, from_b, b_step, from_a, a_step, last - first)
                 __global real *target = c + (size_t)group * RT * n + panel * W;
                 EACH(WRITE)
             }
@@ -71,7 +76,7 @@ KERNEL void product(const int m, const int n, const int depth, const int groups,
 }
 
 KERNEL void pack_panels(const int n, const int depth, __global const real *restrict b, const int b_row, const int b_column,
-                        __global const real *restrict weight, __global real *restrict out)
+                        __global real *restrict out)
 {
     const int panel = get_global_id(0);
     if (panel * W >= n) return;
@@ -81,16 +86,13 @@ KERNEL void pack_panels(const int n, const int depth, __global const real *restr
     out += (size_t)panel * W * depth;
     if (b_column == 1 && width == W) {
         for (int t = begin; t < end; ++t) {
-            const real factor = weight ? weight[t] : ONE;
-            STORE(__global, out + (size_t)t * W, factor * LOAD(__global, b + (size_t)t * b_row));
-            STORE(__global, out + (size_t)t * W + V, factor * LOAD(__global, b + (size_t)t * b_row + V));
+            STORE(__global, out + (size_t)t * W, LOAD(__global, b + (size_t)t * b_row));
+            STORE(__global, out + (size_t)t * W + V, LOAD(__global, b + (size_t)t * b_row + V));
         }
         return;
     }
     for (int t = begin; t < end; ++t) {
-        const real factor = weight ? weight[t] : ONE;
-        for (int j = 0; j < width; ++j)
-            out[(size_t)t * W + j] = factor * b[(size_t)t * b_row + (size_t)j * b_column];
+        for (int j = 0; j < width; ++j) out[(size_t)t * W + j] = b[(size_t)t * b_row + (size_t)j * b_column];
         for (int j = width; j < W; ++j) out[(size_t)t * W + j] = ZERO;
     }
 }

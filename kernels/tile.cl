@@ -30,6 +30,8 @@
         q##i += x * b1;            \
     }
 
+#define HALF_STEP(i) p##i += scalars[o##i] * b0;
+
 /* Declare the accumulators, and the offsets of the rows; rows from valid_rows on repeat the last valid one. */
 #define TILE_BEGIN(stride_of_rows, rows)       \
     const size_t row_stride = (stride_of_rows); \
@@ -49,4 +51,17 @@
             EACH(STEP)                                                \
             scalars += (step);                                        \
         }                                                             \
+    }
+
+/* The same for a panel of which only the first V columns matter. */
+#define TILE_HALF_STEPS(space, panel, panel_stride, x_start, step, count) \
+    {                                                                      \
+        space const real *columns = (panel);                               \
+        __global const real *scalars = (x_start);                          \
+        for (int t = 0; t < (count); ++t) {                                \
+            const realv b0 = LOAD(space, columns);                         \
+            columns += (panel_stride);                                     \
+            EACH(HALF_STEP)                                                \
+            scalars += (step);                                             \
+        }                                                                  \
     }

@@ -18,8 +18,11 @@ DEPTH_BLOCK = 256
 DEPTH_PACKED = 512
 """Depth that one work-item packs."""
 
-PACK_ABOVE = 24
-"""Row groups from which packing the right side pays for its extra launch."""
+PACK_ABOVE = 8
+"""Row groups above which packing the right side may pay for its extra launch."""
+
+PACK_LENGTH = 352
+"""Rows or columns above which a right side is packed: a smaller one is read well enough as it is."""
 
 DEPTH_SPLIT = 512
 """Least depth of a part when a product is cut along its depth."""
@@ -139,18 +142,21 @@ class KernelProducts(KernelArrays):
         ranges: DeviceArray | None = None,
         splits: int = 1,
     ) -> None:
-        """Queue a product, packing the right side where its columns are not contiguous or are read often."""
+        """Queue a product, packing a side where what it reads is not contiguous or is read often.
+
+        A weight of the depth needs a transposed left side, which is multiplied by it while being packed.
+        """
         lanes = self.device.lanes
         group_count, panel_count = ceil_div(m, TILE), ceil_div(n, lanes)
-        if transpose_b or weight is not None or (group_count > PACK_ABOVE and n > lanes):
+        if transpose_b or (not transpose_a and group_count > PACK_ABOVE and max(n, depth) > PACK_LENGTH and n > lanes):
             strides = (1, depth) if transpose_b else (n, 1)
-            b, b_step, b_panel = self._pack_panels("right", b, n, depth, *strides, weight), lanes, depth * lanes
+            b, b_step, b_panel = self._pack_panels("right", b, n, depth, *strides), lanes, depth * lanes
         else:
             b_step, b_panel = n, lanes
         a_row, a_step = (1, m) if transpose_a else (depth, 1)
         a_group = TILE * a_row
-        if transpose_a and depth > DEPTH_BLOCK:
-            a = self._pack_tiles("left", a, m, depth, TILE)
+        if weight is not None or (transpose_a and depth > DEPTH_BLOCK):
+            a = self._pack_tiles("left", a, m, depth, TILE, weight)
             a_group, a_row, a_step = depth * TILE, 1, TILE
         groups, panels = self._macro_tile(group_count, panel_count * splits)
         kernel = self.device.kernel("product", "product", RT=TILE, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
@@ -179,14 +185,13 @@ class KernelProducts(KernelArrays):
         depth: int,
         row_stride: int,
         column_stride: int,
-        weight: DeviceArray | None = None,
     ) -> DeviceArray:
         """Queue packing of b (depth, n), given by its strides, into (panels, depth, lanes) scratch."""
         panels = ceil_div(n, self.device.lanes)
         packed = self.device.scratch(f"panels.{slot}", panels * depth * self.device.lanes)
         kernel = self.device.kernel("product", "pack_panels", RT=TILE, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         size = (panels, ceil_div(depth, DEPTH_PACKED))
-        self.device.launch(kernel, size, n, depth, b, row_stride, column_stride, weight, packed)
+        self.device.launch(kernel, size, n, depth, b, row_stride, column_stride, packed)
         return packed
 
     def _pack_tiles(
