@@ -144,11 +144,24 @@ class Device:
         self.group = 1 if self.facts.kind == "cpu" else 64
         self.budget = min(self.facts.memory, memory) if memory else self.facts.memory
         self.allocated = 0
-        self._context = cl.Context([handle])
-        self._queue = cl.CommandQueue(self._context)
+        with self._answering("being opened"):
+            self._context = cl.Context([handle])
+            self._queue = cl.CommandQueue(self._context)
         self._kernels: dict[tuple[str, tuple[tuple[str, str | int], ...]], dict[str, Any]] = {}
         self._scratch: dict[str, DeviceArray] = {}
         self._events: list[tuple[str, Any]] | None = None
+
+    @contextmanager
+    def _answering(self, doing: str) -> Iterator[None]:
+        """Put a refusal of the driver into words: what was being done, and on which device."""
+        try:
+            yield
+        except self._cl.Error as error:
+            raise self._refusal(doing, error) from error
+
+    def _refusal(self, doing: str, error: Exception) -> DeviceError:
+        kind = MemoryBudgetError if isinstance(error, self._cl.MemoryError) else DeviceError
+        return kind(f"{self.facts.label} failed while {doing} ({error})")
 
     def allocate(self, shape: Sequence[int], dtype: Any) -> DeviceArray:
         """Reserve an array whose values are not set.
@@ -162,7 +175,8 @@ class Device:
         kind = np.dtype(dtype)
         needed = prod(lengths) * kind.itemsize + SLACK
         check_budget(needed, lengths, self.budget - self.allocated, self.facts)
-        buffer = self._cl.Buffer(self._context, self._cl.mem_flags.READ_WRITE, needed)
+        with self._answering(f"allocating {needed} bytes"):
+            buffer = self._cl.Buffer(self._context, self._cl.mem_flags.READ_WRITE, needed)
         return DeviceArray(Allocation(self, buffer, needed), lengths, kind)
 
     def scratch(self, name: str, size: int, dtype: Any = None) -> DeviceArray:
@@ -182,7 +196,8 @@ class Device:
         """Copy values to the device."""
         array = self.allocate(values.shape, values.dtype)
         if values.size:
-            self._cl.enqueue_copy(self._queue, array.buffer, np.ascontiguousarray(values))
+            with self._answering(f"uploading {values.nbytes} bytes"):
+                self._cl.enqueue_copy(self._queue, array.buffer, np.ascontiguousarray(values))
         return array
 
     def zeros(self, shape: Sequence[int], dtype: Any) -> DeviceArray:
@@ -190,24 +205,28 @@ class Device:
         array = self.allocate(shape, dtype)
         count = array.size * array.dtype.itemsize
         if count:
-            self._cl.enqueue_fill_buffer(self._queue, array.buffer, np.zeros(1, array.dtype), 0, count)
+            with self._answering(f"filling {count} bytes"):
+                self._cl.enqueue_fill_buffer(self._queue, array.buffer, np.zeros(1, array.dtype), 0, count)
         return array
 
     def copy(self, source: DeviceArray, target: DeviceArray) -> None:
         """Copy on the device."""
         count = source.size * source.dtype.itemsize
-        self._cl.enqueue_copy(self._queue, target.buffer, source.buffer, byte_count=count)
+        with self._answering(f"copying {count} bytes"):
+            self._cl.enqueue_copy(self._queue, target.buffer, source.buffer, byte_count=count)
 
     def download(self, array: DeviceArray) -> NDArray[Any]:
         """Copy values to the host; waits for whatever computes them."""
         values = np.zeros(array.shape, dtype=array.dtype)
         if values.size:
-            self._cl.enqueue_copy(self._queue, values, array.buffer)
+            with self._answering("computing"):
+                self._cl.enqueue_copy(self._queue, values, array.buffer)
         return values
 
     def finish(self) -> None:
         """Wait until everything launched is done."""
-        self._queue.finish()
+        with self._answering("computing"):
+            self._queue.finish()
 
     def kernel(self, program: str, function: str, **defines: str | int) -> Any:
         """Return a kernel, building its program on first use.
@@ -254,7 +273,11 @@ class Device:
         padded = (-(-lengths[0] // items) * items, *lengths[1:])
         values = [value.buffer if isinstance(value, DeviceArray) else value for value in arguments]
         local = (items,) + (1,) * (len(lengths) - 1)
-        event = kernel(self._queue, padded, local, *values)
+        # Thousands of launches a second: a context manager would be felt here.
+        try:
+            event = kernel(self._queue, padded, local, *values)
+        except self._cl.Error as error:
+            raise self._refusal(f"starting the kernel {kernel.function_name}", error) from error
         if self._events is not None:
             self._events.append((kernel.function_name, event))
 
