@@ -116,7 +116,12 @@ def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | No
     """
     with single_threaded_blas(), ThreadPoolExecutor(1) as pool:
         distances = [pool.submit(_distances, mesh, options.geodesics, cache) for mesh in meshes]
-        spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
+        try:
+            spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
+        except BaseException:
+            # Leaving the block waits for the thread: let it not begin the distances of further meshes.
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
         return [
             _shape(mesh, *spectra, geodesics.result())
             for mesh, spectra, geodesics in zip(meshes, spectral, distances, strict=True)
