@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .collection.run import match_collection
     from .correspondence import Alternative, Correspondence
     from .data import bundled_pair
     from .errors import (
@@ -51,6 +52,7 @@ _HOMES = {
     "bundled_pair": "data",
     "evaluate": "evaluation.errors",
     "match": "matching",
+    "match_collection": "collection.run",
 }
 
 __all__ = [
@@ -71,6 +73,7 @@ __all__ = [
     "bundled_pair",
     "evaluate",
     "match",
+    "match_collection",
 ]
 
 

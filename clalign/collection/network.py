@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 ROUNDS = 12
 """Times that the pairs are weighed anew by how far they are from the network's own maps."""
 
-SMALLEST_SPREAD = 0.05
-"""Deviations below this are the ordinary difference of two good maps, whatever the others are like."""
+SMALLEST_SPREAD = 0.25
+"""Deviations below this are the ordinary difference of two good maps (0.2 between different bodies), never doubted."""
 
 _ITERATIONS = 2000
 _TOLERANCE = 1e-10

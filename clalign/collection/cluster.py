@@ -1,0 +1,171 @@
+"""Where the tasks run: worker processes on this machine, or a Dask scheduler that is there already."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clalign.errors import ClalignError, OptionError
+from clalign.geometry.workers import THREADS_VARIABLE, processor_count
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+logger = logging.getLogger(__name__)
+
+WAIT_FOR_WORKERS = 60.0
+TASKS_AHEAD = 3
+"""Tasks handed to the scheduler for each worker: enough that none is idle, few enough for a million pairs."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One call on a worker. Arguments may be futures of earlier tasks; `name` is unique in the run."""
+
+    name: str
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+
+@contextmanager
+def open_client(scheduler: str | None, workers: int, folder: Path) -> Iterator[Client]:
+    """Connect to a scheduler, or start worker processes on this machine and end them with the block.
+
+    Local workers are spawned, not forked, with one thread for tasks each and a share of the processors for the device
+    driver; BLAS gets one thread, so that the maps do not depend on the number of workers.
+
+    Parameters
+    ----------
+    scheduler : address such as "tcp://host:8786", or None.
+    workers : local processes.
+    folder : must be seen by every worker.
+
+    Raises
+    ------
+    OptionError
+        Dask is not installed, or no scheduler answers, or its workers do not fit.
+    """
+    try:
+        import dask
+        import distributed
+    except ImportError as error:
+        raise OptionError('collections run on Dask: pip install "clalign[collection]"') from error
+    calm = {
+        "distributed.scheduler.allowed-failures": 3,
+        "distributed.comm.timeouts.connect": "60s",
+        "distributed.admin.tick.limit": "60s",
+        "distributed.nanny.pre-spawn-environ": _shared_out(workers),
+    }
+    with dask.config.set(calm):
+        if scheduler is None:
+            cluster = distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
+            with cluster, distributed.Client(cluster) as client:
+                yield client
+            return
+        try:
+            client = distributed.Client(scheduler, timeout="20s")
+            client.wait_for_workers(1, timeout=WAIT_FOR_WORKERS)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise OptionError(f"--scheduler {scheduler}: no Dask scheduler with a worker answers there") from error
+        with client:
+            _check_workers(client, folder)
+            yield client
+
+
+def _shared_out(workers: int) -> dict[str, str]:
+    """Return the variables of a local worker; the libraries read them when they load, so they are set before."""
+    share = str(max(1, processor_count() // workers))
+    single = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+    device = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", THREADS_VARIABLE)
+    return {name: "1" for name in single} | {name: share for name in device}
+
+
+def _check_workers(client: Client, folder: Path) -> None:
+    """Refuse workers with another version, or without sight of the folder, before any work is done.
+
+    Raises
+    ------
+    OptionError
+        With the worker's address.
+    """
+    import clalign
+
+    for worker, (version, seen) in client.run(_facts, str(folder)).items():
+        if version != clalign.__version__:
+            raise OptionError(
+                f"worker {worker} has clalign {version or 'not installed'}, here is {clalign.__version__}"
+            )
+        if not seen:
+            raise OptionError(
+                f"worker {worker} does not see {folder}; put --out and the meshes on a shared file system"
+            )
+
+
+def _facts(folder: str) -> tuple[str, bool]:
+    import clalign
+
+    return clalign.__version__, Path(folder).is_dir()
+
+
+def worker_count(client: Client) -> int:
+    """Return the number of workers at the moment, at least one."""
+    return max(1, len(client.nthreads()))
+
+
+def outcomes(
+    client: Client, tasks: Iterable[Task], kept: dict[str, Future] | None = None
+) -> Iterator[tuple[Task, Any]]:
+    """Run tasks, a few a worker at a time, and yield each with its value, or an exception, as they end.
+
+    The work of a lost worker is given to another; a task that has lost three workers is given up.
+
+    Parameters
+    ----------
+    tasks : taken one by one, when there is room.
+    kept : gets the futures by task name, for tasks that depend on them; without it a value is let go of when yielded.
+    """
+    from distributed import as_completed
+
+    source = iter(tasks)
+    running: dict[str, tuple[Task, Future]] = {}
+    completed = as_completed()
+
+    def fill() -> None:
+        while len(running) < TASKS_AHEAD * worker_count(client):
+            task = next(source, None)
+            if task is None:
+                return
+            future = client.submit(task.function, *task.arguments, key=task.name, pure=False)
+            running[task.name] = (task, future)
+            if kept is not None:
+                kept[task.name] = future
+            completed.add(future)
+
+    fill()
+    while running:
+        future = next(completed)
+        task, _ = running.pop(str(future.key))
+        try:
+            value = future.result()
+        except Exception as error:
+            value = _lost(error)
+        fill()
+        yield task, value
+
+
+def _lost(error: Exception) -> Exception:
+    from distributed.scheduler import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return ClalignError("worker processes ended again and again while they worked on it (out of memory?)")
+    return error

@@ -1,0 +1,86 @@
+"""From the maps of the pairs to a network, and from the network to the pairs that need another map."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.collection.network import MapEdges, Network, cycle_errors, cycle_weights, polar_factors, synchronise
+from clalign.collection.rows import PairRow, finite
+from clalign.collection.store import Store
+
+WRONG = 0.5
+"""A map that deviates from the network's by more than this is a different one: a flip of left and right has about 1."""
+
+WORSE = 1.5
+"""A repaired map that distorts distances by this much more than the matched one is not taken."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the network says of the pairs.
+
+    Attributes
+    ----------
+    network : the rotations.
+    rows : the direct rows with their cycle and network errors filled in.
+    wrong : places in `rows` of the maps that contradict the network.
+    digest : short text that differs when the network does.
+    """
+
+    network: Network
+    rows: tuple[PairRow, ...]
+    wrong: tuple[int, ...]
+    digest: str
+
+
+def judged(store: Store, names: Sequence[str], rows: Sequence[PairRow], *, wrong: float = WRONG) -> Verdict:
+    """Synchronise the maps of all direct rows that are "ok", and find those that contradict the rest.
+
+    Parameters
+    ----------
+    store : has the maps.
+    names : of the shapes; the network numbers them so.
+    rows : of matched pairs.
+    wrong : see `WRONG`.
+    """
+    number = {name: index for index, name in enumerate(names)}
+    used = [index for index, row in enumerate(rows) if row.ok]
+    maps = [store.read_maps("pairs", rows[index].source, rows[index].target).functional_map for index in used]
+    size = min((len(functional) for functional in maps), default=1)
+    edges = MapEdges(
+        len(names),
+        np.array([(number[rows[i].source], number[rows[i].target]) for i in used], dtype=np.int64).reshape(-1, 2),
+        polar_factors(np.stack([functional[:size, :size] for functional in maps])) if maps else np.ones((0, 1, 1)),
+        np.ones(len(used)),
+    )
+    cycles = cycle_errors(edges)
+    confidence = np.array([rows[index].confidence or 0.0 for index in used])
+    network = synchronise(replace(edges, weights=cycle_weights(confidence, cycles)))
+    judged_rows = list(rows)
+    for place, index in enumerate(used):
+        judged_rows[index] = replace(
+            rows[index], cycle_error=finite(cycles[place]), network_error=finite(network.residuals[place])
+        )
+    contradicting = tuple(index for place, index in enumerate(used) if network.residuals[place] > wrong)
+    return Verdict(network, tuple(judged_rows), contradicting, _digest(network.frames))
+
+
+def missing_pairs(network: Network, matched: set[frozenset[int]]) -> list[tuple[int, int]]:
+    """Return the pairs (i, j), i < j, that the network joins and that were not matched."""
+    count = len(network.frames)
+    return [
+        (i, j)
+        for i in range(count)
+        for j in range(i + 1, count)
+        if network.component[i] == network.component[j] and frozenset((i, j)) not in matched
+    ]
+
+
+def _digest(frames: NDArray[np.float64]) -> str:
+    # Rounded, so that the last bits of a sum in another order do not make everything be derived again.
+    return hashlib.sha256(np.round(frames, 6).tobytes()).hexdigest()[:16]

@@ -1,0 +1,71 @@
+"""The correspondence of two shapes from a functional map that is known already: no search, no optimisation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+import clalign
+from clalign.alignment.funnel import funnel_band
+from clalign.alignment.pipeline import Clock, grown_maps
+from clalign.alignment.refine import closed_form_rotation, unbanded_steps
+from clalign.correspondence import Correspondence
+from clalign.engine.backend import Backend
+from clalign.geometry.mesh import Mesh
+from clalign.geometry.shape import Shape
+from clalign.matching import local_distortion
+from clalign.options import Options
+
+
+def derived_correspondence(
+    source: Shape, target: Shape, functional: NDArray[np.float64], backend: Backend, options: Options
+) -> Correspondence:
+    """Return the correspondence that a functional map leads to: up-sampled, with R and the read-out in closed form.
+
+    Parameters
+    ----------
+    source, target : prepared with the same options.
+    functional : (L, L) orthogonal, from coefficients in the first LBO functions of the source to those of the target.
+    """
+    clock = Clock()
+    with clock.stage("up-sampling"):
+        maps = grown_maps(backend, source, target, functional, options)
+    count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
+    descriptors = source.descriptors.head(count), target.descriptors.head(count)
+    with clock.stage("closed form"):
+        band = funnel_band(count, options.alignment)
+        closed = closed_form_rotation(backend, *descriptors, maps, band, options.alignment.sides == "one")
+    if options.readout.steps:
+        with clock.stage("read-out"):
+            maps = unbanded_steps(backend, *descriptors, maps, options.readout.steps)
+    return Correspondence(
+        source=source.mesh,
+        target=target.mesh,
+        target_of_source=_in_file_numbers(source.mesh, target.mesh, maps.target_of_source),
+        source_of_target=_in_file_numbers(target.mesh, source.mesh, maps.source_of_target),
+        functional_map=functional,
+        rotation=closed.start.rotation,
+        source_basis=source.basis.head(max(len(functional), options.spectrum.basis)),
+        target_basis=target.basis.head(max(len(functional), options.spectrum.basis)),
+        source_descriptors=descriptors[0].head(count, closed.start.signs),
+        target_descriptors=descriptors[1],
+        history=(),
+        losses={},
+        confidence=math.nan,
+        orientation=math.nan,
+        distortion=local_distortion(source, target, maps.target_of_source),
+        alternatives=(),
+        timings=clock.seconds,
+        warnings=tuple(f"{mesh.name}: {note}" for mesh in (source.mesh, target.mesh) for note in mesh.notes),
+        device=backend.name,
+        options=options,
+        versions={"clalign": clalign.__version__, "numpy": np.__version__},
+    )
+
+
+def _in_file_numbers(here: Mesh, there: Mesh, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+    mapped = np.full(here.file_count, -1, dtype=np.int64)
+    mapped[here.file_index] = there.file_index[chosen]
+    return mapped

@@ -1,0 +1,155 @@
+"""What a collection will need, in memory and on disk, said before the work starts."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from clalign.collection.members import Member
+from clalign.collection.session import HELD_SHAPES
+from clalign.errors import MemoryBudgetError, MeshError, ResultError
+from clalign.geometry.mesh import load_mesh
+from clalign.options import Options
+
+PROCESS_BYTES = 400e6
+"""Of a worker with its libraries and an open device, before it holds a shape."""
+
+WORK_BYTES_PER_VERTEX = 30e3
+"""Of matching, above the shapes: factors of the solver, moments of the soft map, candidates of the search."""
+
+PAGE_BYTES, PAGE_BYTES_PER_VERTEX = 1.1e6, 45.0
+"""Of a pair's page: library and picture, then positions, faces, maps and a few functions of both shapes."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Bytes that a collection needs at most.
+
+    Attributes
+    ----------
+    shape : one prepared shape, in memory and in the cache alike.
+    cache : all prepared shapes.
+    pair : what is kept of one pair.
+    pairs : what is kept of all pairs.
+    worker : memory of one worker process.
+    """
+
+    shape: float
+    cache: float
+    pair: float
+    pairs: float
+    worker: float
+
+    def text(self, workers: int) -> str:
+        """Return one line for people."""
+        return (
+            f"at most {size_text(self.worker)} of memory in each of {workers} worker{'s' if workers > 1 else ''}, "
+            f"{size_text(self.cache)} of disk for the prepared shapes and {size_text(self.pairs)} for the pairs"
+        )
+
+
+def forecast(
+    members: Sequence[Member], pairs: int, options: Options, *, keep: str, latent: int, pages: bool
+) -> Forecast:
+    """Predict from the largest mesh file, taking the others to have vertices in proportion to their files.
+
+    Raises
+    ------
+    MeshError
+        No mesh of the collection can be loaded.
+    """
+    largest, vertices = _largest(members)
+    share = [min(1.0, member.size / largest.size) for member in members]
+    shape = shape_bytes(vertices, options)
+    mean = sum(share) / len(share) * vertices
+    pair = 2 * 4 * mean + 8 * latent**2 + 4096
+    if pages:
+        pair += PAGE_BYTES + 2 * PAGE_BYTES_PER_VERTEX * mean
+    if keep == "full":
+        pair += 2 * mean * (4 * (options.spectrum.basis + options.spectrum.descriptors) + 64)
+        pair += 8 * (options.spectrum.descriptors**2 + options.spectrum.basis**2)
+    return Forecast(
+        shape=shape,
+        cache=sum(shape_bytes(vertices * part, options) for part in share),
+        pair=pair,
+        pairs=pair * pairs,
+        worker=PROCESS_BYTES + (HELD_SHAPES + 1) * shape + WORK_BYTES_PER_VERTEX * vertices,
+    )
+
+
+def shape_bytes(vertices: float, options: Options) -> float:
+    """Return the bytes of a prepared shape: spectra in double precision, distances of the samples."""
+    functions = max(options.spectrum.basis, options.spectrum.refinement) + options.spectrum.descriptors
+    samples = min(options.geodesics.search_samples, vertices)
+    return vertices * (8 * functions + 4 * options.geodesics.factor_samples + 16) + 8 * samples**2
+
+
+def _largest(members: Sequence[Member]) -> tuple[Member, int]:
+    reason = "no mesh file can be read"
+    for member in sorted(members, key=lambda member: -member.size):
+        if member.size:
+            try:
+                return member, load_mesh(member.path).n_vertices
+            except MeshError as error:
+                reason = str(error)
+    raise MeshError(f"no mesh of the collection can be used; the last reason: {reason}")
+
+
+def check_disk(needed: float, folder: Path) -> None:
+    """Refuse a collection that the disk has no room for.
+
+    Raises
+    ------
+    ResultError
+        With the ways to need less.
+    """
+    free = shutil.disk_usage(folder).free
+    if needed > free:
+        raise ResultError(
+            f"{folder}: needs up to {size_text(needed)} and the disk has {size_text(free)} left; keep less "
+            "(--keep maps, --no-report), bound the prepared shapes (--cache-limit), or choose another --out"
+        )
+
+
+def workers_that_fit(needed: float, wanted: int | None, processors: int) -> int:
+    """Return the number of local workers: what is wanted, else one a processor as far as the memory allows.
+
+    Raises
+    ------
+    MemoryBudgetError
+        The memory is too small for what is wanted, or for a single worker.
+    """
+    free = available_memory()
+    fitting = int(free // needed)
+    if fitting < (wanted or 1):
+        raise MemoryBudgetError(
+            f"{wanted or 1} worker(s) need up to {size_text((wanted or 1) * needed)} of memory and {size_text(free)} "
+            "are free; use fewer --workers, or fewer functions (--preset fast)"
+        )
+    return wanted or max(1, min(processors, fitting))
+
+
+def available_memory() -> float:
+    """Return the bytes of memory that can be taken without swapping, as far as the system tells."""
+    try:
+        with open("/proc/meminfo", encoding="ascii") as lines:
+            for line in lines:
+                if line.startswith("MemAvailable:"):
+                    return 1024.0 * int(line.split()[1])
+    except OSError:
+        pass
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        return 0.75 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return float("inf")
+
+
+def size_text(size: float) -> str:
+    """Return bytes as people read them."""
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if size < 1000:
+            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} TB"

@@ -1,0 +1,67 @@
+"""A finished collection: its shapes, its pairs, and the maps between any two shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from clalign.collection.rows import PairRow, ShapeRow, read_rows
+from clalign.collection.store import PairMaps, Store
+from clalign.errors import ResultError
+
+
+@dataclass(frozen=True)
+class Collection:
+    """What `match_collection` made, in its folder.
+
+    Attributes
+    ----------
+    store : the folder.
+    shapes : one row a shape that was looked at.
+    pairs : one row a pair, failed ones included.
+    """
+
+    store: Store
+    shapes: tuple[ShapeRow, ...]
+    pairs: tuple[PairRow, ...]
+
+    @staticmethod
+    def load(folder: str | Path) -> Collection:
+        """Open the folder of a collection.
+
+        Raises
+        ------
+        ResultError
+            It is not one.
+        """
+        store = Store(folder)
+        store.settings()
+        return Collection(store, tuple(read_rows(ShapeRow, store.folder)), tuple(read_rows(PairRow, store.folder)))
+
+    @property
+    def folder(self) -> Path:
+        """The folder."""
+        return self.store.folder
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """One sentence for each shape and pair that failed or was skipped."""
+        shapes = tuple(f"{row.name}: {row.message}" for row in self.shapes if not row.ok)
+        pairs = tuple(f"{row.source} {row.target}: {row.message}" for row in self.pairs if row.status == "failed")
+        return shapes + pairs
+
+    def maps(self, source: str, target: str) -> PairMaps:
+        """Return the maps of a pair, repaired or derived where they are so, in whichever order it was matched.
+
+        Raises
+        ------
+        ResultError
+            There is no such pair, or it has no map.
+        """
+        for row in self.pairs:
+            if {row.source, row.target} == {source, target} and source != target:
+                if not row.ok:
+                    raise ResultError(f"{self.folder}: {source} {target} has no map: {row.message}")
+                found = self.store.final_maps(row)
+                return found if row.source == source else found.reversed()
+        raise ResultError(f"{self.folder}: there is no pair {source} {target}; derive it with --consistency all")

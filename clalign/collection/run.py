@@ -1,0 +1,319 @@
+"""``match_collection``: a whole set of shapes as one job."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from clalign.collection.choice import (
+    PAIRINGS,
+    Pairs,
+    all_pairs,
+    listed_pairs,
+    spectrum_distances,
+    star_pairs,
+    tree_pairs,
+)
+from clalign.collection.cluster import Task, open_client, outcomes, worker_count
+from clalign.collection.consistency import WORSE, WRONG, Verdict, judged, missing_pairs
+from clalign.collection.forecast import check_disk, forecast, workers_that_fit
+from clalign.collection.members import Member, read_members
+from clalign.collection.result import Collection
+from clalign.collection.rows import PairRow, ShapeRow, append_row, read_rows, write_rows
+from clalign.collection.session import PageWriter, Settings
+from clalign.collection.store import CACHE_FOLDER, Store, merged, pair_key
+from clalign.collection.work import derive_members, explained, match_members, prepare_member
+from clalign.errors import OptionError
+from clalign.geometry.workers import processor_count
+from clalign.options import Options
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+logger = logging.getLogger(__name__)
+
+Progress = Callable[[str, float, str], None]
+Consistency = Literal["auto", "none", "repair", "all"]
+
+DEFAULT_LATENT = 60
+CACHE_SLACK = 1.2
+
+
+def match_collection(
+    shapes: str | Path | Sequence[str | Path],
+    out: str | Path,
+    options: Options | None = None,
+    *,
+    pairs: str | Path = "all",
+    consistency: Consistency = "auto",
+    scheduler: str | None = None,
+    workers: int | None = None,
+    resume: bool = False,
+    keep: Literal["maps", "full"] = "maps",
+    latent: int = DEFAULT_LATENT,
+    cache: str | Path | None = None,
+    cache_limit: int | None = None,
+    pages: PageWriter | None = None,
+    progress: Progress | None = None,
+) -> Collection:
+    """Match the pairs of a set of shapes in parallel, and make their maps consistent.
+
+    A program that calls this needs ``if __name__ == "__main__":`` around it, as workers are spawned.
+
+    Parameters
+    ----------
+    shapes : a folder of meshes, a text file that lists meshes, or mesh files.
+    out : folder of the collection; it and the meshes must be seen by all workers.
+    options : of every match; see `Options`.
+    pairs : "all", "star" (one shape in the middle with every other), "tree" (every shape with one like it), or a file
+        with two names a line.
+    consistency : "repair" replaces maps that contradict the others, "all" makes the maps of all other pairs from the
+        network too, "none" does neither; "auto" is "all" for a star and a tree and "repair" otherwise.
+    scheduler : address of a Dask scheduler; None starts workers on this machine.
+    workers : local worker processes; None for as many as there are processors and memory for.
+    resume : go on with a collection in `out`: only what is missing, failed or out of date is computed.
+    keep : "maps" stores both maps and C of a pair, "full" the whole `Correspondence` besides.
+    latent : number L of LBO functions in the network.
+    cache : folder of prepared shapes, seen by all workers; ``out/shapes`` if None.
+    cache_limit : bytes that it may grow to; enough for all shapes if None.
+    pages : writes a page into each pair's folder.
+    progress : called as ``progress(stage, fraction, message)``.
+
+    Returns
+    -------
+    Collection
+        With the row of every pair and shape; what failed is named there and does not stop the rest.
+
+    Raises
+    ------
+    ResultError
+        The meshes, the pairs file or the folder cannot be used as asked.
+    OptionError
+        A value outside its range, no scheduler, or other options than those of the collection to go on with.
+    MemoryBudgetError
+        The workers would need more memory than there is.
+    """
+    chosen = Options() if options is None else options
+    if keep not in ("maps", "full") or consistency not in ("auto", "none", "repair", "all"):
+        raise OptionError(
+            f"keep is 'maps' or 'full' and consistency 'auto', 'none', 'repair' or 'all'; got {keep!r} and "
+            f"{consistency!r}"
+        )
+    if latent < 2 or (workers is not None and workers < 1):
+        raise OptionError(f"latent must be at least 2 and workers at least 1; got {latent} and {workers}")
+    members = read_members(shapes)
+    names = [member.name for member in members]
+    listed = None if str(pairs) in PAIRINGS else listed_pairs(pairs, names)
+    count = len(listed) if listed is not None else len(members) * (len(members) - 1) // 2
+    need = forecast(members, count, chosen, keep=keep, latent=latent, pages=pages is not None)
+    limit = round(CACHE_SLACK * need.cache) if cache_limit is None else cache_limit
+    store = Store(out)
+    store.begin(chosen, {"pairs": str(pairs), "latent": latent, "keep": keep}, resume=resume)
+    folder = Path(cache) if cache is not None else store.folder / CACHE_FOLDER
+    settings = Settings(str(store.folder), chosen, str(folder.expanduser().absolute()), limit, keep, latent, pages)
+    check_disk(need.pairs + (min(limit, need.cache) if not resume else 0.0), store.folder)
+    local = 0 if scheduler else workers_that_fit(need.worker, workers, processor_count())
+    job = Job(members, settings, progress or (lambda stage, fraction, message: None))
+    if consistency == "auto":
+        consistency = "all" if str(pairs) in ("star", "tree") else "repair"
+    with store.lock(), open_client(scheduler, local, store.folder) as client:
+        job.report("start", 1.0, need.text(worker_count(client)))
+        job.match(client, str(pairs), listed)
+        if consistency != "none":
+            job.make_consistent(client, everything=consistency == "all")
+    return job.finished()
+
+
+@dataclass
+class Job:
+    """The run of one collection: what is known so far, and what is still to do."""
+
+    members: tuple[Member, ...]
+    settings: Settings
+    report: Progress
+    shapes: dict[str, ShapeRow] = field(default_factory=dict)
+    direct: dict[tuple[str, str], PairRow] = field(default_factory=dict)
+    final: dict[tuple[str, str], PairRow] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.store: Store = self.settings.store
+        self.by_name = {member.name: member for member in self.members}
+        self.shapes = {row.name: row for row in read_rows(ShapeRow, self.store.folder) if row.name in self.by_name}
+
+    def match(self, client: Client, pairing: str, listed: Pairs | None) -> None:
+        """Prepare shapes and match pairs, each as soon as its shapes are there; what is done already is left alone."""
+        futures: dict[str, Future] = {}
+        if pairing in ("star", "tree"):
+            for task, value in outcomes(client, self._shape_tasks(self.members), futures):
+                self._take_shape(task, value, len(self.members))
+            chosen = self._chosen_by_likeness(pairing)
+            waiting = self._missing(chosen)
+            tasks = self._pair_tasks(waiting, futures)
+            shapes = 0
+        else:
+            chosen = listed if listed is not None else all_pairs(len(self.members))
+            waiting = self._missing(chosen)
+            needed = sorted({index for pair in waiting for index in pair})
+            shapes = len(needed)
+            first = self._shape_tasks([self.members[index] for index in needed])
+            tasks = itertools.chain(first, self._pair_tasks(waiting, futures))
+        estimate = Estimate(len(waiting))
+        for task, value in outcomes(client, tasks, futures):
+            if task.function is prepare_member:
+                self._take_shape(task, value, shapes)
+                continue
+            futures.pop(task.name).release()
+            row = self._pair_row(task, value)
+            self.direct[row.source, row.target] = row
+            append_row(row, self.store.folder)
+            self.report("pairs", *estimate.step(row))
+        self.final.update(self.direct)
+        for future in futures.values():
+            future.release()
+
+    def _shape_tasks(self, members: Sequence[Member]) -> Iterator[Task]:
+        for member in members:
+            yield Task(_name("shape", member.name), prepare_member, (member, self.settings))
+
+    def _pair_tasks(self, pairs: Pairs, futures: dict[str, Future]) -> Iterator[Task]:
+        for i, j in pairs:
+            source, target = self.members[i], self.members[j]
+            prepared = tuple(futures[_name("shape", member.name)] for member in (source, target))
+            yield Task(
+                _name("pair", source.name, target.name), match_members, (source, target, prepared, self.settings)
+            )
+
+    def _take_shape(self, task: Task, value: Any, total: int) -> None:
+        member: Member = task.arguments[0]
+        if isinstance(value, Exception):
+            value = ShapeRow(member.name, member.path, "failed", explained(value))
+        self.shapes[member.name] = value
+        done = sum(1 for row in self.shapes.values() if row.eigenvalues or not row.ok)
+        message = member.name if value.ok else f"{member.name} FAILED: {value.message}"
+        self.report("shapes", min(1.0, done / max(total, 1)), message)
+
+    def _pair_row(self, task: Task, value: Any) -> PairRow:
+        if isinstance(value, PairRow):
+            return value
+        source, target = task.arguments[:2]
+        return PairRow(source.name, target.name, status="failed", message=explained(value))
+
+    def _chosen_by_likeness(self, pairing: str) -> Pairs:
+        """Return the star or the tree over the shapes that could be prepared; the others have no pair."""
+        usable = [index for index, member in enumerate(self.members) if self.shapes[member.name].ok]
+        if len(usable) < 2:
+            return []
+        values = [self.shapes[self.members[index].name].eigenvalues for index in usable]
+        shortest = min(len(row) for row in values)
+        distances = spectrum_distances(np.array([row[:shortest] for row in values]))
+        chosen = star_pairs(distances) if pairing == "star" else tree_pairs(distances)
+        return [(usable[i], usable[j]) for i, j in chosen]
+
+    def _missing(self, pairs: Pairs) -> Pairs:
+        """Take the rows of all pairs that are done, and return those of `pairs` that are not."""
+        for source, target in self.store.pair_names("pairs"):
+            first, second = self.by_name.get(source), self.by_name.get(target)
+            if first is not None and second is not None:
+                row = self.store.finished("pairs", source, target, pair_key(first, second, self.settings.options))
+                if row is not None:
+                    self.direct[source, target] = row
+        missing = []
+        for i, j in pairs:
+            names = self.members[i].name, self.members[j].name
+            if names not in self.direct and names[::-1] not in self.direct:
+                missing.append((i, j))
+        logger.info("%d pairs, %d of them done", len(pairs), len(pairs) - len(missing))
+        return missing
+
+    def make_consistent(self, client: Client, *, everything: bool) -> None:
+        """Synchronise the network, repair what contradicts it, and derive the other pairs if that is asked for."""
+        names = tuple(member.name for member in self.members)
+        self.report("network", 0.0, "")
+        verdict = judged(self.store, names, list(self.direct.values()), wrong=WRONG)
+        self.store.write_network(names, verdict.network)
+        self.report("network", 1.0, f"{len(verdict.wrong)} maps contradict the others")
+        self.final = {(row.source, row.target): row for row in verdict.rows}
+        tasks = self._repairs(verdict)
+        if everything:
+            tasks += self._derivations(verdict)
+        estimate = Estimate(len(tasks))
+        for task, value in outcomes(client, tasks):
+            row = self._derived_row(task, value)
+            self.final[row.source, row.target] = row
+            self.report("consistent", *estimate.step(row))
+
+    def _repairs(self, verdict: Verdict) -> list[Task]:
+        rows = [verdict.rows[index] for index in verdict.wrong]
+        return [self._derivation(row.source, row.target, row.distortion, verdict) for row in rows]
+
+    def _derivations(self, verdict: Verdict) -> list[Task]:
+        number = {member.name: index for index, member in enumerate(self.members)}
+        matched = {frozenset((number[row.source], number[row.target])) for row in self.direct.values() if row.ok}
+        names = [member.name for member in self.members]
+        return [self._derivation(names[i], names[j], None, verdict) for i, j in missing_pairs(verdict.network, matched)]
+
+    def _derivation(self, source: str, target: str, distortion: float | None, verdict: Verdict) -> Task:
+        first, second = self.by_name[source], self.by_name[target]
+        functional = verdict.network.functional(self.members.index(first), self.members.index(second))
+        return Task(
+            _name("consistent", source, target),
+            derive_members,
+            (first, second, functional, distortion, verdict.digest, self.settings),
+        )
+
+    def _derived_row(self, task: Task, value: Any) -> PairRow:
+        """Return the row of a pair after its repair or derivation; a repair that is no better is not taken."""
+        source, target, _, distortion = task.arguments[:4]
+        before = self.final.get((source.name, target.name))
+        row = self._pair_row(task, value)
+        if distortion is None or before is None:
+            return replace(row, kind="derived")
+        if not row.ok or row.distortion is None or row.distortion > WORSE * distortion:
+            return before
+        return merged(before, row)
+
+    def finished(self) -> Collection:
+        """Write the index anew, in the order of the shapes, and return the collection."""
+        place = {member.name: index for index, member in enumerate(self.members)}
+        rows = sorted(self.final.values(), key=lambda row: (place[row.source], place[row.target]))
+        shapes = [self.shapes[name] for name in place if name in self.shapes]
+        write_rows(PairRow, rows, self.store.folder)
+        write_rows(ShapeRow, shapes, self.store.folder)
+        return Collection(self.store, tuple(shapes), tuple(rows))
+
+
+@dataclass
+class Estimate:
+    """How far a stage is and how long it will take, from the pace so far."""
+
+    total: int
+    done: int = 0
+    started: float = field(default_factory=time.monotonic)
+
+    def step(self, row: PairRow) -> tuple[float, str]:
+        """Count a pair; return the fraction done and a line that tells of it."""
+        self.done += 1
+        left = (time.monotonic() - self.started) / self.done * (self.total - self.done)
+        if row.ok:
+            said = f"{row.kind}" if row.confidence is None else f"confidence {row.confidence:.2f}"
+        else:
+            said = f"{row.status.upper()}: {row.message}"
+        when = f", {_duration(left)} left" if self.done < self.total else ""
+        return self.done / self.total, f"{self.done}/{self.total}{when}; {row.source} {row.target}: {said}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"about {seconds:.0f} s"
+    return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"
+
+
+def _name(kind: str, *names: str) -> str:
+    return "-".join((kind, *names))

@@ -1,0 +1,146 @@
+"""What a worker process keeps between tasks: its device, a few prepared shapes, and its own compiled kernels."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from clalign.collection.members import Member
+from clalign.collection.store import Store
+from clalign.correspondence import Correspondence
+from clalign.engine import open_backend
+from clalign.engine.backend import Backend
+from clalign.geometry.cache import ShapeCache, default_folder
+from clalign.geometry.mesh import Mesh, load_mesh
+from clalign.geometry.shape import Shape, prepare
+from clalign.options import Options
+
+try:
+    import fcntl
+except ImportError:  # Windows: every process compiles its kernels anew
+    fcntl = None  # type: ignore[assignment]
+
+HELD_SHAPES = 4
+"""Prepared shapes that a worker keeps in memory: those of its pair, and two that a next pair may need."""
+
+KERNEL_VARIABLE = "POCL_CACHE_DIR"
+
+PageWriter = Callable[[Correspondence, Path], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What every task of a collection needs to know; small, as it travels with each of them.
+
+    Attributes
+    ----------
+    folder : of the collection, on a file system that all workers see.
+    options : of every match.
+    cache : folder of the prepared shapes.
+    cache_limit : its largest size in bytes.
+    keep : "maps" stores maps and C of a pair, "full" the whole result besides.
+    latent : functions in the stored C.
+    pages : writes a pair's page into its folder; a function that can be pickled, or None.
+    """
+
+    folder: str
+    options: Options
+    cache: str
+    cache_limit: int
+    keep: str
+    latent: int
+    pages: PageWriter | None = None
+
+    @property
+    def store(self) -> Store:
+        """The folder of the collection."""
+        return Store(self.folder)
+
+
+class Session:
+    """The state of one thread of a worker."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self._cache = ShapeCache(settings.cache, settings.cache_limit)
+        self._backend: Backend | None = None
+        self._shapes: OrderedDict[str, Shape] = OrderedDict()
+
+    @property
+    def backend(self) -> Backend:
+        """The open device, opened when first asked for."""
+        if self._backend is None:
+            claim_kernel_folder()
+            self._backend = open_backend(self.settings.options.engine)
+        return self._backend
+
+    def mesh(self, member: Member) -> Mesh:
+        """Load the mesh of a member."""
+        return load_mesh(member.path)
+
+    def shape(self, member: Member) -> Shape:
+        """Return a prepared shape: from memory, else from the cache by the mesh's content, else computed."""
+        held = self._shapes.pop(member.digest, None)
+        if held is None:
+            while len(self._shapes) >= HELD_SHAPES:
+                self._shapes.popitem(last=False)
+            held = prepare(self.mesh(member), self.settings.options, self._cache)
+        self._shapes[member.digest] = held
+        return held
+
+
+_threads = threading.local()
+_kernel_lock: int | None = None
+_claim = threading.Lock()
+
+
+def session(settings: Settings) -> Session:
+    """Return this thread's session; another collection than before starts a new one.
+
+    BLAS is kept to one thread whatever the number of workers: its sums depend on the number, and maps shall not.
+    """
+    held: Session | None = getattr(_threads, "session", None)
+    if held is None or held.settings != settings:
+        threadpool_limits(1, user_api="blas")
+        held = Session(settings)
+        _threads.session = held
+    return held
+
+
+def claim_kernel_folder() -> None:
+    """Give this process a folder of compiled kernels that no other process writes to, and keep it until the end.
+
+    PoCL's breaks when several processes write to it. Folders are numbered and used again by later processes, so that
+    kernels are compiled once a worker, not once a run. Works only before the driver is loaded.
+    """
+    global _kernel_lock
+    with _claim:
+        if _kernel_lock is not None:
+            return
+        named = os.environ.get(KERNEL_VARIABLE)
+        root = Path(named) if named else default_folder() / "kernels"
+        if fcntl is None:
+            os.environ[KERNEL_VARIABLE] = tempfile.mkdtemp(prefix="clalign-kernels-")
+            _kernel_lock = -1
+            return
+        number = 0
+        while True:
+            folder = root / f"worker-{number}"
+            folder.mkdir(parents=True, exist_ok=True)
+            handle = os.open(folder, os.O_RDONLY)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                os.close(handle)
+                number += 1
+                continue
+            _kernel_lock = handle
+            os.environ[KERNEL_VARIABLE] = str(folder)
+            return

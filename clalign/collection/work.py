@@ -1,0 +1,180 @@
+"""The tasks of a collection, as they run on the workers. What goes wrong becomes a row that says so."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.alignment.maps import PointMaps, two_way_functional_map
+from clalign.alignment.pipeline import Clock
+from clalign.collection.derive import derived_correspondence
+from clalign.collection.members import Member
+from clalign.collection.rows import Kind, PairRow, ShapeRow, finite
+from clalign.collection.session import Settings, session
+from clalign.collection.store import RESULT_FOLDER, PairMaps, Room, pair_key
+from clalign.correspondence import Correspondence
+from clalign.engine import Reference
+from clalign.errors import ClalignError
+from clalign.evaluation.numbering import compact_of_file
+from clalign.geometry.mesh import Mesh
+from clalign.matching import match_shapes
+
+logger = logging.getLogger(__name__)
+
+EIGENVALUES = 30
+"""Eigenvalues by which shapes are compared to choose the middle of a star and the branches of a tree."""
+
+
+def prepare_member(member: Member, settings: Settings) -> ShapeRow:
+    """Load and prepare a shape, so that the cache has it; returns a row, "failed" when it is of no use."""
+    started = time.perf_counter()
+    try:
+        shape = session(settings).shape(member)
+    except Exception as error:
+        logger.debug("%s", member.path, exc_info=True)
+        return ShapeRow(member.name, member.path, "failed", explained(error))
+    values = shape.basis.eigenvalues[1 : EIGENVALUES + 1]
+    return ShapeRow(
+        member.name,
+        member.path,
+        vertices=shape.mesh.n_vertices,
+        faces=shape.mesh.n_faces,
+        seconds=time.perf_counter() - started,
+        notes=" | ".join(shape.mesh.notes),
+        eigenvalues=tuple(float(value) for value in values),
+    )
+
+
+def match_members(source: Member, target: Member, prepared: tuple[ShapeRow, ShapeRow], settings: Settings) -> PairRow:
+    """Match a pair and write its folder; a folder that is there already is not computed again.
+
+    Parameters
+    ----------
+    prepared : rows of both shapes; the graph's edge from shapes to pairs.
+    """
+    broken = [row for row in prepared if not row.ok]
+    if broken:
+        return skipped(source, target, broken[0])
+
+    def work() -> Correspondence:
+        here = session(settings)
+        return match_shapes(here.shape(source), here.shape(target), here.backend, settings.options, Clock())
+
+    return _finished_pair(source, target, "direct", pair_key(source, target, settings.options), work, settings)
+
+
+def derive_members(
+    source: Member,
+    target: Member,
+    functional: NDArray[np.float64],
+    direct: float | None,
+    network: str,
+    settings: Settings,
+) -> PairRow:
+    """Make the maps of a pair from the network's functional map and write their folder.
+
+    Parameters
+    ----------
+    functional : (L, L) of the network.
+    direct : distortion of the map that was matched; None where there is none.
+    network : short text that differs when the network does.
+    """
+
+    def work() -> Correspondence:
+        here = session(settings)
+        return derived_correspondence(
+            here.shape(source), here.shape(target), functional, here.backend, settings.options
+        )
+
+    kind: Kind = "derived" if direct is None else "repaired"
+    key = pair_key(source, target, settings.options, network)
+    return _finished_pair(source, target, kind, key, work, settings)
+
+
+def _finished_pair(
+    source: Member, target: Member, kind: Kind, key: str, work: Callable[[], Correspondence], settings: Settings
+) -> PairRow:
+    room: Room = "pairs" if kind == "direct" else "consistent"
+    started = time.perf_counter()
+    try:
+        done = settings.store.finished(room, source.name, target.name, key)
+        if done is not None:
+            return done
+        with warnings.catch_warnings():
+            # What there is to warn of is in the result and gets to the row.
+            warnings.simplefilter("ignore")
+            result = work()
+        row = _row(source, target, kind, result)
+        maps = pair_maps(result, settings.latent)
+        settings.store.write_pair(room, row, key, maps, lambda folder: _extras(result, folder, settings))
+        return replace(row, seconds=time.perf_counter() - started)
+    except Exception as error:
+        logger.debug("%s %s", source.name, target.name, exc_info=True)
+        return PairRow(source.name, target.name, kind, "failed", explained(error), worker=_here())
+
+
+def skipped(source: Member, target: Member, broken: ShapeRow) -> PairRow:
+    """Return the row of a pair that was not tried because a shape of it is of no use."""
+    return PairRow(source.name, target.name, status="skipped", message=f"{broken.name}: {broken.message}")
+
+
+def explained(error: Exception) -> str:
+    """Return one line that says what went wrong."""
+    text = str(error) if isinstance(error, ClalignError) else f"{type(error).__name__}: {error}"
+    return " ".join(text.split())
+
+
+def pair_maps(result: Correspondence, latent: int) -> PairMaps:
+    """Return what is kept of a result: both maps, and C in the first `latent` LBO functions."""
+    source, target = result.source, result.target
+    maps = PointMaps(
+        _compact(result.target_of_source, source, target), _compact(result.source_of_target, target, source)
+    )
+    size = min(latent, result.source_basis.count, result.target_basis.count)
+    functional = two_way_functional_map(
+        Reference(), result.source_basis.head(size), result.target_basis.head(size), maps
+    )
+    return PairMaps(result.target_of_source.astype(np.int32), result.source_of_target.astype(np.int32), functional)
+
+
+def _compact(file_map: NDArray[np.int64], here: Mesh, there: Mesh) -> NDArray[np.int64]:
+    return np.asarray(compact_of_file(there)[file_map[here.file_index]])
+
+
+def _row(source: Member, target: Member, kind: Kind, result: Correspondence) -> PairRow:
+    return PairRow(
+        source.name,
+        target.name,
+        kind,
+        confidence=finite(result.confidence) if kind == "direct" else None,
+        orientation=finite(result.orientation),
+        distortion=finite(float(result.source_basis.mass @ result.distortion / result.source_basis.mass.sum())),
+        total=finite(result.losses.get("total")),
+        align=finite(result.losses.get("align")),
+        unsup=finite(result.losses.get("unsup")),
+        seconds=sum(result.timings.values()),
+        stages=";".join(f"{name}={seconds:.3f}" for name, seconds in result.timings.items()),
+        warnings=" | ".join(result.warnings),
+        device=result.device,
+        worker=_here(),
+    )
+
+
+def _extras(result: Correspondence, folder: Path, settings: Settings) -> None:
+    if settings.keep == "full":
+        result.save(folder / RESULT_FOLDER)
+    if settings.pages is not None:
+        settings.pages(result, folder)
+
+
+def _here() -> str:
+    return f"{socket.gethostname()}:{os.getpid()}"
