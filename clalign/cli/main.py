@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from typing import Protocol, TextIO
 
 from clalign import __version__
-from clalign.cli import bench, cache, check, demo, doctor, evaluate, export, figures, match, show, transfer
+from clalign.cli import bench, cache, check, collection, demo, doctor, evaluate, export, figures, match, show, transfer
 from clalign.errors import ClalignError, DeviceError, InputError
 
 EXIT_FAILED = 1
@@ -32,7 +32,20 @@ class Command(Protocol):
         """Add the command's parser and set its ``run`` default."""
 
 
-COMMANDS: tuple[Command, ...] = (match, demo, check, show, transfer, export, evaluate, figures, bench, cache, doctor)
+COMMANDS: tuple[Command, ...] = (
+    match,
+    demo,
+    check,
+    collection,
+    show,
+    transfer,
+    export,
+    evaluate,
+    figures,
+    bench,
+    cache,
+    doctor,
+)
 
 _DESCRIPTION = "Dense correspondence between two non-rigid triangle meshes, computed with OpenCL."
 _EPILOG = """\
