@@ -1,0 +1,56 @@
+"""The launch shape of a GPU (groups of 64 work-items, one tile each) on whatever device the tests run on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clalign.engine.device import Device
+from clalign.engine.kernels import Kernels
+from clalign.engine.reference import Reference
+
+
+@pytest.fixture(scope="module")
+def wide() -> Kernels:
+    kernels = Kernels(Device())
+    kernels.device.group = 64
+    return kernels
+
+
+def agree(wide: Kernels, name: str, *arguments: np.ndarray | float | None) -> None:
+    uploaded = [wide.array(a) if isinstance(a, np.ndarray) else a for a in arguments]
+    results, truths = getattr(wide, name)(*uploaded), getattr(Reference(), name)(*arguments)
+    results = results if isinstance(results, tuple) else (results,)
+    truths = truths if isinstance(truths, tuple) else (truths,)
+    for result, truth in zip(results, truths, strict=True):
+        error = np.abs(wide.numpy(result) - truth).max()
+        assert error <= 5e-6 * np.abs(truth).max(), name
+
+
+def test_every_kernel_agrees_with_its_twin(wide: Kernels, rng):
+    n, n_y, k, r = 97, 83, 12, 7
+    c, psi, w = rng.normal(size=(n, k)), rng.normal(size=(n_y, k)), rng.random(n_y)
+    u, dz = rng.normal(size=(n_y, r)), rng.normal(size=(n, r))
+    packed = Reference().packed_moments(psi, w, u)
+    z, s = Reference().soft_map(c, packed)
+    agree(wide, "product", c, psi.T)
+    agree(wide, "weighted_gram", psi, u, w)
+    agree(wide, "solve_right", c.T @ c, c, 1e-3)
+    agree(wide, "packed_moments", psi, w, u)
+    agree(wide, "packed_moments_gradient", psi, w, packed)
+    agree(wide, "soft_map", c, packed)
+    agree(wide, "soft_map_gradient", c, packed, None, z, s, dz)
+    agree(wide, "soft_map_streamed", c, psi, w, u)
+    z, s = Reference().soft_map_streamed(c, psi, w, u)
+    agree(wide, "soft_map_streamed_gradient", c, psi, w, u, z, s, dz)
+    agree(wide, "nearest", c, psi, w)
+    agree(wide, "gather", c, rng.integers(0, n, size=200))
+    agree(wide, "scale_rows", psi, w)
+
+
+def test_candidates_and_sums_agree_with_their_twins(wide: Kernels, rng):
+    dx, dy, w = rng.random((50, 50)), rng.random((97, 97)), rng.random(97)
+    index = rng.integers(0, 50, size=(97, 33))
+    agree(wide, "distortion_batch", dx, dy, w, index)
+    agree(wide, "map_distance", dx, w, index)
+    assert wide.total(wide.array(dx)) == pytest.approx(dx.sum(), rel=1e-6)
