@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from clalign.cli import bench_accuracy
+from clalign.cli import bench_accuracy, bench_study
 
-SUBCOMMANDS = (bench_accuracy,)
+SUBCOMMANDS = (bench_accuracy, bench_study)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -65,10 +65,12 @@ def _add(
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path(f"clalign-bench-{name}"), help="result folder")
     parser.add_argument(
         "--methods",
+        "--variants",
         metavar="NAMES",
         default="default",
-        help="comma-separated: default, fast, cycle, heat-kernel, one-sided, search-only, paper, paper-cycle, "
-        "paper-heat-kernel, paper-one-sided, paper-isometric, pyfm (default: %(default)s)",
+        help="comma-separated: default, fast, cycle, isometric, heat-kernel, euclidean, regularized, one-sided, "
+        "unitarity, differentiated, uniform, full-band, diagonal-band, no-band, search-only, mirrored, paper, "
+        "paper-searched, paper-cycle, paper-isometric, paper-heat-kernel, paper-one-sided, paper-mirrored, pyfm (default: %(default)s)",
     )
     parser.add_argument(
         "--set", metavar="GROUP.NAME=VALUE", action="append", default=[], dest="changes", help="change an option of all"

@@ -6,13 +6,13 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.errors import OptionError
+from clalign.errors import OptionError, ResultError
 from clalign.options import Options
 
 from .pairs import Problem
@@ -123,6 +123,59 @@ class IsometricMethod:
         return outcome_of(result, time.perf_counter() - start)
 
 
+@dataclass(frozen=True)
+class SignedMethod:
+    """The paper's start, as it goes when the eigensolver happens to give the signs of the mirror image.
+
+    A solver gives eigenfunctions any signs, and a diagonal start of R cannot change them: both sides of a column get
+    the same sign. With the signs that the mirrored truth asks for, the paper's start is that of the mirror image.
+    """
+
+    name: str
+    options: Options
+
+    @property
+    def settings(self) -> str:
+        """Version of the package and a digest of the options."""
+        import clalign
+
+        return f"{clalign.__version__}-signs-{digest(self.options.as_dict())}"
+
+    def correspondence(
+        self, problem: Problem, cache: ShapeCache | None = None, progress: Progress | None = None
+    ) -> Correspondence:
+        """Return the whole result of one pair.
+
+        Raises
+        ------
+        ResultError
+            The mirror image of the truth is not known.
+        """
+        from clalign.alignment.pipeline import Clock
+        from clalign.engine import open_backend
+        from clalign.geometry.shape import prepare_pair
+        from clalign.matching import match_shapes
+
+        from .isometric import total_maps
+        from .spectral_errors import true_rotation
+
+        if problem.mirrored is None:
+            raise ResultError(f"{problem.name}: {self.name} needs the mirror image of the truth")
+        source, target = prepare_pair(problem.source, problem.target, self.options, cache)
+        source_of_target, _ = total_maps(problem.source, problem.target, problem.mirrored)
+        count = min(source.descriptors.count, target.descriptors.count)
+        mirrored = true_rotation(source.descriptors.functions[:, :count], target.descriptors, source_of_target)
+        signs = np.where(np.diagonal(mirrored) < 0, -1.0, 1.0)
+        source = replace(source, descriptors=source.descriptors.head(count, signs))
+        return match_shapes(source, target, open_backend(self.options.engine), self.options, Clock(progress))
+
+    def __call__(self, problem: Problem) -> Outcome:
+        """Match one pair."""
+        start = time.perf_counter()
+        result = self.correspondence(problem)
+        return outcome_of(result, time.perf_counter() - start)
+
+
 def outcome_of(result: Correspondence, seconds: float) -> Outcome:
     """Return what a benchmark keeps of a result."""
     barycentric = None
@@ -165,9 +218,12 @@ NAMED_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
 #: Methods whose target has the source's distances, by the preset of their other options.
 ISOMETRIC_PRESETS = {"isometric": "default", "paper-isometric": "paper"}
 
+#: The paper's start with the signs of the mirror image.
+PAPER_MIRRORED = "paper-mirrored"
 
-def own_method(name: str, changes: Mapping[str, Any]) -> AlignMethod | IsometricMethod:
-    """Return a variant of our own method by its name in `NAMED_OPTIONS` or `ISOMETRIC_PRESETS`.
+
+def own_method(name: str, changes: Mapping[str, Any]) -> AlignMethod | IsometricMethod | SignedMethod:
+    """Return a variant of our own method by its name among `method_names`.
 
     Raises
     ------
@@ -176,6 +232,8 @@ def own_method(name: str, changes: Mapping[str, Any]) -> AlignMethod | Isometric
     """
     if name in ISOMETRIC_PRESETS:
         return IsometricMethod(name, Options.preset(ISOMETRIC_PRESETS[name]).replace(changes))
+    if name == PAPER_MIRRORED:
+        return SignedMethod(name, Options.preset("paper").replace(changes))
     if name in NAMED_OPTIONS:
         preset, own = NAMED_OPTIONS[name]
         return AlignMethod(name, Options.preset(preset).replace({**own, **changes}))
@@ -197,7 +255,7 @@ def named_methods(names: Sequence[str], changes: Mapping[str, Any]) -> list[Meth
 
 def method_names() -> tuple[str, ...]:
     """Return every name that a benchmark can be asked for."""
-    return (*NAMED_OPTIONS, *ISOMETRIC_PRESETS, "pyfm")
+    return (*NAMED_OPTIONS, *ISOMETRIC_PRESETS, PAPER_MIRRORED, "pyfm")
 
 
 def digest(values: Mapping[str, Any]) -> str:

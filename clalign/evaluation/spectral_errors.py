@@ -165,22 +165,34 @@ def pair_rotation(rotation: NDArray[np.float64], first: int) -> PairRotation:
     return PairRotation(block.copy(), angle, reflected, float(np.square(block).sum() / 2.0))
 
 
-def most_rotated_pair(rotation: NDArray[np.float64], largest: int = 60) -> int:
+def most_rotated_pair(
+    rotation: NDArray[np.float64], support: NDArray[np.float64] | None = None, largest: int = 60
+) -> int:
     """Return the 0-based number of the first of the two neighbours that C̃ turns most within their own span.
 
-    The constant function is left out. A pair scores the smaller of its off-diagonal and of its diagonal entries, times
-    the share of energy that stays in the span: a swap or a sign is no rotation.
+    The constant function is left out. A pair scores the smallest of the entries of its block, times the share of energy
+    that stays in the span: a swap or a sign is no rotation.
 
     Parameters
     ----------
+    support : (d,) multiplies the scores by the smaller one of each pair, to prefer functions that live on much of the
+        surface (`support_areas`); None leaves them.
     largest : pairs up to this index are looked at.
     """
+    count = len(rotation)
+    weights = np.ones(count) if support is None else support
     scores = []
-    for first in range(1, min(largest, len(rotation) - 1)):
+    for first in range(1, min(largest, count - 1)):
         block = np.abs(rotation[first : first + 2, first : first + 2])
         kept = min(*np.square(block).sum(axis=0), *np.square(block).sum(axis=1))
-        scores.append(kept * min(block[0, 1], block[1, 0], block[0, 0], block[1, 1]))
+        scores.append(kept * float(block.min()) * min(weights[first], weights[first + 1]))
     return 1 + int(np.argmax(scores)) if scores else 0
+
+
+def support_areas(functions: NDArray[np.float64], mass: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (d,) the share of the area that each function lives on, (Σ A φ²)² / (Σ A · Σ A φ⁴): 1 for a constant."""
+    squares = mass @ np.square(functions)
+    return np.asarray(np.square(squares) / (mass.sum() * (mass @ functions**4)))
 
 
 def energy_inside(rotation: NDArray[np.float64], mask: NDArray[np.bool_]) -> float:

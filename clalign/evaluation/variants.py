@@ -23,11 +23,12 @@ VARIANT_LABELS = {
     "cycle": "with the cycle term",
     "isometric": "isometry enforced",
     "heat-kernel": "heat-kernel metric",
-    "mirrored": "mirrored start",
+    "mirrored": "from the mirror image",
     "one-sided": "one side only",
     "search-only": "search only",
     "paper": "as printed (Eq. 24)",
     "paper-searched": "as printed, from the search",
+    "paper-mirrored": "as printed, other signs",
     "paper-cycle": "as printed, with the cycle term (Eq. 32)",
     "paper-isometric": "as printed, isometry enforced",
     "paper-heat-kernel": "as printed, heat-kernel metric",
@@ -40,7 +41,7 @@ def variant_label(name: str) -> str:
 
 
 class VariantRuns:
-    """The matches of one pair, by the names of `methods.NAMED_OPTIONS` and `methods.ISOMETRIC_PRESETS`.
+    """The matches of one pair, by the names of `methods.method_names`.
 
     Parameters
     ----------

@@ -17,6 +17,7 @@ from clalign.evaluation.spectral_errors import (
     most_rotated_pair,
     pair_rotation,
     recovered_rotation,
+    support_areas,
     true_rotation,
 )
 
@@ -74,7 +75,8 @@ def draw_pair_rotation(result: Correspondence, maps: TrueMaps, first: int | None
     """
     true = true_rotation(as_computed(result.source_descriptors), result.target_descriptors, maps.source_of_target)
     true = true[: len(result.rotation), : len(result.rotation)]
-    place = most_rotated_pair(true) if first is None else first - 1
+    support = support_areas(result.target_descriptors.functions, result.target_basis.mass)
+    place = most_rotated_pair(true, support) if first is None else first - 1
     if not 0 <= place < len(result.rotation) - 1:
         raise OptionError(f"there is no pair {place + 1}, {place + 2} among {len(result.rotation)} eigenfunctions")
     blocks = pair_rotation(true, place), pair_rotation(recovered_rotation(result), place)
@@ -85,12 +87,13 @@ def draw_pair_rotation(result: Correspondence, maps: TrueMaps, first: int | None
         left, right = _panels(view, before, number, _HEIGHT, BEFORE), _panels(view, after, number, _HEIGHT, AFTER)
         grid.append([*left, *right])
     errors = [_errors(result, functions, maps)[place : place + 2] for functions in (before, after)]
-    notes = [f"C̃ of the truth\n{_block_text(blocks[0])}", "", f"C̃ recovered\n{_block_text(blocks[1])}", ""]
+    notes = [f"C̃ of the truth\n{_block_text(blocks[0])}", f"C̃ recovered\n{_block_text(blocks[1])}"]
     figure = panel_sheet(
         grid,
         columns=["source", "target", "source, aligned", "target, aligned"],
         rows=[f"eigenfunction {place + 1}", f"eigenfunction {place + 2}"],
         notes=notes,
+        note_span=2,
         gaps_after=[1],
     )
     return Drawing(figure, _rotation_table(place, blocks, errors))
@@ -122,9 +125,11 @@ def draw_variants(results: Mapping[str, Correspondence], maps: TrueMaps, number:
     errors = {label: float(_errors(first, pair, maps)[number - 1]) for label, pair in functions.items()}
     figure = panel_sheet(
         [panels],
-        columns=[word for label in functions for word in (label, "")],
+        columns=list(functions),
+        column_span=2,
         rows=[f"eigenfunction {number}"],
-        notes=[word for error in errors.values() for word in (f"error {error:.3f}", "")],
+        notes=[f"error {error:.3f}" for error in errors.values()],
+        note_span=2,
         gaps_after=[2 * place + 1 for place in range(len(functions) - 1)],
     )
     rows = tuple((number, label, error) for label, error in errors.items())

@@ -10,6 +10,7 @@ from pathlib import Path
 from clalign.correspondence import Correspondence
 from clalign.errors import ResultError
 from clalign.evaluation.errors import Evaluation, evaluate
+from clalign.evaluation.methods import PAPER_MIRRORED
 from clalign.evaluation.pairs import Problem
 from clalign.evaluation.records import CURVES_FILE, RECORDS_FILE, Record, read_curves, read_records
 from clalign.evaluation.spectral_errors import TrueMaps, spectral_errors, true_maps
@@ -26,7 +27,7 @@ from .spectral import draw_funnel, draw_spectral_errors
 MAIN = "default"
 CURVE_VARIANTS = ("paper", "paper-cycle", "paper-isometric", "paper-heat-kernel", MAIN)
 ALIGNED_VARIANTS = (MAIN, "cycle", "isometric")
-STARTS = ("paper", "mirrored", MAIN)
+STARTS = ("paper", PAPER_MIRRORED, "mirrored", MAIN)
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,8 @@ def _matched(subject: Subject) -> Drawing:
 
 
 def _mirrored(subject: Subject) -> Drawing:
-    results = subject.chosen(STARTS)
+    known = subject.problem.mirrored is not None
+    results = subject.chosen([name for name in STARTS if known or name != PAPER_MIRRORED])
     return draw_mirrored(results, subject.evaluated(results))
 
 

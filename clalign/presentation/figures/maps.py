@@ -18,6 +18,7 @@ from .surfaces import PairView
 
 _HEIGHT = 560
 _SMALL = 300
+_LOSSES = ("total", "align", "unsup", "unitarity")
 _MIRROR_SHOWN = (2, 3, 4, 5)
 
 Curves = Mapping[str, NDArray[np.float64]]
@@ -37,9 +38,7 @@ def draw_error_curves(curves: Mapping[Unit, Curves]) -> Drawing:
             axes.plot(THRESHOLDS, 100 * curve, label=f"{label} ({area_under_curve(curve):.3f})", linewidth=1.5)
         axes.set(xlim=(0, THRESHOLDS[-1]), ylim=(0, 101), xlabel=AXIS_LABELS[unit], ylabel="% of points")
         axes.grid(alpha=0.3)
-        axes.legend(
-            loc="lower right", fontsize="x-small", title="area under the curve in brackets", title_fontsize="x-small"
-        )
+        axes.legend(loc="best", fontsize="x-small", title="area under the curve in brackets", title_fontsize="x-small")
     figure.set_layout_engine("constrained")
     named = [(f"{label} / {unit}", curve) for unit in units for label, curve in curves[unit].items()]
     rows = tuple(
@@ -60,11 +59,12 @@ def draw_matched_colours(results: Mapping[str, Correspondence], evaluations: Map
     notes: list[str] = []
     for label, result in results.items():
         panels += PairView.of(result).map_panels(result.target.vertices, surface_map(result), _HEIGHT)
-        notes += [_error_text(evaluations.get(label)), ""]
+        notes.append(_error_text(evaluations.get(label)))
     figure = panel_sheet(
         [panels],
         columns=[word for result in results.values() for word in (result.source.name, result.target.name)],
-        notes=notes,
+        notes=notes if any(notes) else (),
+        note_span=2,
         gaps_after=[2 * place + 1 for place in range(len(results) - 1)],
     )
     rows = tuple((label, *_error_cells(evaluations.get(label))) for label in results)
@@ -79,22 +79,20 @@ def draw_mirrored(results: Mapping[str, Correspondence], evaluations: Mapping[st
     results : label to match of one pair; the last one is drawn as the good one.
     evaluations : by the same labels, with errors to the mirrored truth where it is known.
     """
-    functions: list[Image] = []
-    panels: list[Image] = []
     grid: list[list[Image]] = []
-    for place, result in enumerate(results.values()):
-        view = PairView.of(result)
+    *_, good = results.values()
+    view = PairView.of(good)
+    for result in results.values():
         panels = [*view.map_panels(result.target.vertices, surface_map(result), _SMALL)]
-        background = AFTER if place == len(results) - 1 else BEFORE
-        aligned = result.source_aligned, result.target_aligned
-        functions = []
+        background = AFTER if result is good else BEFORE
         for number in _MIRROR_SHOWN:
-            functions += _panels(view, aligned, min(number, len(result.rotation)) - 1, _SMALL, background)
-        grid.append(panels + functions)
+            index = min(number, len(result.rotation)) - 1
+            panels += _panels(view, (result.source_aligned, result.target_aligned), index, _SMALL, background)
+        grid.append(panels)
     figure = panel_sheet(
-        _one_size(grid),
+        grid,
         columns=["source", "target", *(word for number in _MIRROR_SHOWN for word in (f"{number}, source", "target"))],
-        rows=[f"{label}\n{_error_text(evaluations.get(label))}" for label in results],
+        rows=["\n".join([label, *_error_text(evaluations.get(label)).split(", ")]) for label in results],
         gaps_after=[1, 3, 5, 7],
     )
     rows = tuple(
@@ -108,21 +106,6 @@ def draw_mirrored(results: Mapping[str, Correspondence], evaluations: Mapping[st
     )
     names = ("start", "mean", "median", "exact", "mirrored_mean", "flipped", *_LOSSES, "orientation")
     return Drawing(figure, Table(names, rows))
-
-
-_LOSSES = ("total", "align", "unsup", "unitarity")
-
-
-def _one_size(grid: list[list[Image]]) -> list[list[Image]]:
-    """Return the panels with equal widths: views of different maps may be turned differently."""
-    width = max(panel.shape[1] for row in grid for panel in row)
-    return [[_widened(panel, width) for panel in row] for row in grid]
-
-
-def _widened(panel: Image, width: int) -> Image:
-    missing = width - panel.shape[1]
-    sides = ((0, 0), (missing // 2, missing - missing // 2), (0, 0))
-    return np.asarray(np.pad(panel, sides, mode="edge"))
 
 
 def _error_text(evaluation: Evaluation | None) -> str:

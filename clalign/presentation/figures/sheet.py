@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from clalign.errors import InputError
 
 DPI = 200
+_LINE = 26
 BEFORE = (0.985, 0.925, 0.935)
 AFTER = (0.915, 0.965, 0.925)
 PLAIN = (1.0, 1.0, 1.0)
@@ -89,22 +90,24 @@ def panel_sheet(
     rows: Sequence[str] = (),
     notes: Sequence[str] = (),
     gaps_after: Sequence[int] = (),
+    column_span: int = 1,
+    note_span: int = 1,
 ) -> Any:
     """Return a figure of images of one size in rows and columns.
 
     Parameters
     ----------
     grid : rows of (h, w, 3) uint8 images, all of one shape.
-    columns : words above the columns.
+    columns : words above the columns, each above `column_span` of them.
     rows : words to the left of the rows, turned by a quarter.
-    notes : words below the columns.
+    notes : words below the columns, each below `note_span` of them.
     gaps_after : columns (from 0) that are followed by a gap.
     """
     height, width = grid[0][0].shape[:2]
     gap = max(6, width // 6)
-    left = 60 if rows else 8
-    top = 44 * (1 + max((label.count("\n") for label in columns), default=0)) if columns else 8
-    bottom = 40 * (1 + max((note.count("\n") for note in notes), default=0)) if notes else 8
+    left = 24 + _LINE * _lines(rows) if rows else 8
+    top = 12 + _LINE * _lines(columns) if columns else 8
+    bottom = 12 + _LINE * _lines(notes) if notes else 8
     lefts = [left + column * width + gap * sum(column > g for g in gaps_after) for column in range(len(grid[0]))]
     size = (lefts[-1] + width + 8, top + len(grid) * height + bottom)
     canvas = np.full((size[1], size[0], 3), 255, dtype=np.uint8)
@@ -116,13 +119,20 @@ def panel_sheet(
     axes.set_axis_off()
     axes.imshow(canvas, extent=(0, size[0], size[1], 0), interpolation="none", aspect="auto")
     style = {"fontsize": 7, "ha": "center"}
-    for place, label in zip(lefts, columns, strict=False):
-        axes.text(place + width / 2, top - 8, label, va="bottom", **style)
-    for place, note in zip(lefts, notes, strict=False):
-        axes.text(place + width / 2, size[1] - bottom + 8, note, va="top", **style)
+    for words, span, y, anchor in (
+        (columns, column_span, top - 8, "bottom"),
+        (notes, note_span, size[1] - bottom + 8, "top"),
+    ):
+        for number, label in enumerate(words):
+            ends = lefts[number * span], lefts[(number + 1) * span - 1] + width
+            axes.text(sum(ends) / 2, y, label, va=anchor, **style)
     for number, label in enumerate(rows):
-        axes.text(left - 12, top + (number + 0.5) * height, label, rotation=90, va="center", **style | {"ha": "right"})
+        axes.text(left / 2, top + (number + 0.5) * height, label, rotation=90, va="center", **style)
     return figure
+
+
+def _lines(labels: Sequence[str]) -> int:
+    return 1 + max(label.count("\n") for label in labels)
 
 
 def _cell_text(cell: Cell) -> str | int:

@@ -49,14 +49,15 @@ def draw_funnel(result: Correspondence, maps: TrueMaps) -> Drawing:
     )
     extent = (0.5, count + 0.5, count + 0.5, 0.5)
     index = np.arange(1, count + 1)
-    for axes, title, values in zip(panels, titles, (np.abs(true), mask.astype(float), np.abs(recovered)), strict=True):
+    for axes, title, values in zip(panels, titles, (np.abs(true), 0.25 * mask, np.abs(recovered)), strict=True):
         axes.imshow(values, cmap="magma_r", norm=PowerNorm(_GAMMA, 0.0, 1.0), extent=extent, interpolation="none")
         # The mask's columns of row i are lower + 1 … upper, counted from 1.
         axes.plot(band.lower + 0.5, index, band.upper + 0.5, index, color="#2a7fb8", linewidth=0.8)
         axes.set_title(title, fontsize=8)
-        axes.set(xlabel="eigenfunction of the target", xlim=extent[:2], ylim=extent[2:])
+        axes.set(xlim=extent[:2], ylim=extent[2:])
+        axes.set_xlabel("eigenfunction of the target", fontsize=8)
         axes.tick_params(labelsize=7)
-    panels[0].set_ylabel("eigenfunction of the source")
+    panels[0].set_ylabel("eigenfunction of the source", fontsize=8)
     figure.set_layout_engine("constrained")
     rows_inside = [np.square(np.where(mask, m, 0.0)).sum(1) / np.square(m).sum(1) for m in (true, recovered)]
     columns = (coupling_spread(true), coupling_spread(recovered), *rows_inside)
@@ -90,7 +91,7 @@ def draw_spectral_errors(errors: Mapping[str, SpectralErrors]) -> Drawing:
         axes.plot(index, running_mean(curve, _RUNNING), color=colour, linewidth=1.6, label=label)
     axes.set(xlim=(1, count), ylim=(0, 2.05), xlabel="eigenfunction k", ylabel="relative error err(k)")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small", loc="upper left", ncols=2)
+    axes.legend(fontsize="small", loc="best")
     figure.set_layout_engine("constrained")
     rows = tuple(
         (k + 1, *(float(curve[k]) if k < len(curve) else None for curve in curves.values())) for k in range(count)
