@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
 
     from clalign.collection.run import match_collection
-    from clalign.presentation.collection import write_pair_page
+    from clalign.presentation.collection_page import write_pair_page
 
     try:
         with terminal.progress() as progress:
@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write_page(collection: Collection, args: argparse.Namespace, terminal: Terminal) -> None:
-    from clalign.presentation.collection import write_collection_page
+    from clalign.presentation.collection_page import write_collection_page
 
     if args.no_report:
         return

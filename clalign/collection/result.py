@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from clalign.collection.rows import PairRow, ShapeRow, read_rows
@@ -58,10 +59,14 @@ class Collection:
         ResultError
             There is no such pair, or it has no map.
         """
-        for row in self.pairs:
-            if {row.source, row.target} == {source, target} and source != target:
-                if not row.ok:
-                    raise ResultError(f"{self.folder}: {source} {target} has no map: {row.message}")
-                found = self.store.final_maps(row)
-                return found if row.source == source else found.reversed()
-        raise ResultError(f"{self.folder}: there is no pair {source} {target}; derive it with --consistency all")
+        row = self._rows.get(frozenset((source, target)))
+        if row is None:
+            raise ResultError(f"{self.folder}: there is no pair {source} {target}; make it with --consistency all")
+        if not row.ok:
+            raise ResultError(f"{self.folder}: {source} {target} has no map: {row.message}")
+        found = self.store.final_maps(row)
+        return found if row.source == source else found.reversed()
+
+    @cached_property
+    def _rows(self) -> dict[frozenset[str], PairRow]:
+        return {frozenset((row.source, row.target)): row for row in self.pairs}
