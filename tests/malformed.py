@@ -1,11 +1,13 @@
 """A collection of malformed meshes: what is in each, and what the program must make of it.
 
 `surfaces()` are pairs of arrays with one defect each; `write_collection(folder)` writes these as files, together with
-files that are broken as files.
+files that are broken as files. ``python tests/malformed.py`` prints the message for each, as a table.
 """
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,6 +91,18 @@ def klein_bottle(rows: int = 12, columns: int = 8) -> Arrays:
     i, j = (index.ravel() for index in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
     a, b, c, d = number(i, j), number(i + 1, j), number(i + 1, j + 1), number(i, j + 1)
     return vertices, np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+
+
+def ring(columns: int = 24, rows: int = 10) -> Arrays:
+    """Torus, thicker on one side and stretched, so that it has no symmetry but a mirror's."""
+    u, v = np.meshgrid(2 * np.pi * np.arange(columns) / columns, 2 * np.pi * np.arange(rows) / rows, indexing="ij")
+    thickness = 0.25 + 0.08 * np.sin(u)
+    reach = 1 + thickness * np.cos(v)
+    points = np.stack([reach * np.cos(u), 1.4 * reach * np.sin(u), thickness * np.sin(v)], axis=-1)
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"))
+    a, b = i * rows + j, (i + 1) % columns * rows + j
+    c, d = (i + 1) % columns * rows + (j + 1) % rows, i * rows + (j + 1) % rows
+    return points.reshape(-1, 3), np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
 
 
 def _joined(*parts: Arrays) -> Arrays:
@@ -364,3 +378,34 @@ def write_collection(folder: Path) -> list[MalformedFile]:
     found.append(MalformedFile("a folder", folder_path, True, "is a directory"))
     found.append(MalformedFile("missing", folder / "missing.off", True, "no such file"))
     return found
+
+
+def case_names() -> list[str]:
+    """Names of the whole collection, in its order."""
+    return [
+        *(case.name for case in surfaces()),
+        *(name for name, _, _ in broken_files()),
+        "a folder",
+        "missing",
+    ]
+
+
+def messages(folder: Path) -> list[tuple[str, str, str]]:
+    """Write the collection and load it: name, "refused" or "loaded", and the message or the notes of each."""
+    from clalign.errors import MeshError
+    from clalign.geometry.mesh import load_mesh
+
+    rows = []
+    for case in write_collection(folder):
+        try:
+            verdict, message = "loaded", "; ".join(load_mesh(case.path).notes)
+        except MeshError as error:
+            verdict, message = "refused", str(error)
+        rows.append((case.name, verdict, message.replace(f"{folder}{os.sep}", "")))
+    return rows
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as scratch:
+        for row in messages(Path(scratch)):
+            print("{:<26} {:<8} {}".format(*row))
