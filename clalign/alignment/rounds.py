@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clalign.alignment.maps import PointMaps, argmax_map, functional_point_maps, point_maps
 from clalign.alignment.optimise import Status, minimise
-from clalign.alignment.problem import AlignmentProblem, Evaluation, Round
+from clalign.alignment.problem import AlignmentProblem, Evaluation
 from clalign.alignment.views import AlignedSide
 from clalign.engine.backend import Backend
 from clalign.options import AlignmentOptions, Readout
@@ -89,32 +89,68 @@ def optimise_rotation(
     status: Status = "budget"
     weight = options.weight
     for number in range(options.rounds):
-        frozen = problem.start_round(rotation, maps.target_of_source, weight)
-        before = problem.value_and_gradient(problem.pack(rotation), frozen)
-
-        def objective(
-            x: NDArray[np.float64], frozen: Round = frozen, number: int = number
-        ) -> tuple[float, NDArray[np.float64]]:
-            evaluation = problem.value_and_gradient(x, frozen)
-            history.append({"round": number, "evaluation": len(history), "total": evaluation.total, **evaluation.terms})
-            if progress is not None:
-                progress(number, evaluation)
-            return evaluation.total, evaluation.gradient
-
-        minimum = minimise(objective, problem.pack(rotation), options.iterations, options.tolerance)
-        candidate = problem.unpack(minimum.x)
-        candidate_maps = read_out(problem, candidate, readout)
-        refreshed = problem.start_round(candidate, candidate_maps.target_of_source, weight)
-        after = problem.value_and_gradient(problem.pack(candidate), refreshed)
-        LOG.info("round %d: %.6g -> %.6g (%s)", number, before.total, after.total, minimum.status)
-        status = minimum.status
-        if not after.total < before.total:
-            status = "converged"
+        try:
+            ended = _round(problem, rotation, maps, weight, readout, _recorded(number, history, progress))
+        except KeyboardInterrupt:
+            # Between the evaluations of a round nothing better is at hand than the round before.
+            status = "interrupted"
             break
-        rotation, maps = candidate, candidate_maps
+        LOG.info("round %d: %.6g -> %.6g (%s)", number, ended.before, ended.after, ended.status)
+        status = ended.status
+        if not ended.after < ended.before:
+            status = "interrupted" if status == "interrupted" else "converged"
+            break
+        rotation, maps = ended.rotation, ended.maps
         if status in ("interrupted", "failed"):
             break
         weight *= options.decay
     final = problem.start_round(rotation, maps.target_of_source, weight)
     last = problem.value_and_gradient(problem.pack(rotation), final)
     return AlignedRotation(rotation, maps, tuple(history), {"total": last.total, **last.terms}, status)
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """What a round came to: R and its maps, and the objective before and after it, each with its own hard map."""
+
+    rotation: NDArray[np.float64]
+    maps: PointMaps
+    before: float
+    after: float
+    status: Status
+
+
+def _round(
+    problem: AlignmentProblem,
+    rotation: NDArray[np.float64],
+    maps: PointMaps,
+    weight: float,
+    readout: Readout,
+    record: Callable[[Evaluation], None],
+) -> _Ended:
+    frozen = problem.start_round(rotation, maps.target_of_source, weight)
+    before = problem.value_and_gradient(problem.pack(rotation), frozen)
+
+    def objective(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        evaluation = problem.value_and_gradient(x, frozen)
+        record(evaluation)
+        return evaluation.total, evaluation.gradient
+
+    options = problem.options
+    minimum = minimise(objective, problem.pack(rotation), options.iterations, options.tolerance)
+    candidate = problem.unpack(minimum.x)
+    candidate_maps = read_out(problem, candidate, readout)
+    refreshed = problem.start_round(candidate, candidate_maps.target_of_source, weight)
+    after = problem.value_and_gradient(problem.pack(candidate), refreshed)
+    return _Ended(candidate, candidate_maps, before.total, after.total, minimum.status)
+
+
+def _recorded(
+    number: int, history: list[dict[str, float]], progress: Callable[[int, Evaluation], None] | None
+) -> Callable[[Evaluation], None]:
+    def record(evaluation: Evaluation) -> None:
+        history.append({"round": number, "evaluation": len(history), "total": evaluation.total, **evaluation.terms})
+        if progress is not None:
+            progress(number, evaluation)
+
+    return record
