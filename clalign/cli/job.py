@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clalign.cli.interrupts import Interrupts
 from clalign.cli.terminal import Terminal, table
 
 if TYPE_CHECKING:
@@ -125,13 +126,13 @@ def run_job(
     from clalign.storage import check_destination
 
     check_destination(args.out, FACTS_FILE, force=force)
-    source, target = load_mesh(source_path), load_mesh(target_path)
-    truths = truths_of(source, target)
-    terminal.note(f"device: {_device(options)}")
-    for role, mesh in (("source", source), ("target", target)):
-        terminal.note(f"{role}: {mesh.path}, {mesh.n_vertices:,} vertices, {mesh.n_faces:,} faces")
-
-    result = _matched(source, target, options, args, terminal)
+    with Interrupts() as interrupts:
+        source, target = load_mesh(source_path), load_mesh(target_path)
+        truths = truths_of(source, target)
+        terminal.note(f"device: {_device(options)}")
+        for role, mesh in (("source", source), ("target", target)):
+            terminal.note(f"{role}: {mesh.path}, {mesh.n_vertices:,} vertices, {mesh.n_faces:,} faces")
+        result = _matched(source, target, options, args, terminal, interrupts)
     evaluation = None
     if truths is not None:
         from clalign.evaluation.errors import evaluate
@@ -152,17 +153,24 @@ def _device(options: Options) -> str:
 
 
 def _matched(
-    source: Mesh, target: Mesh, options: Options, args: argparse.Namespace, terminal: Terminal
+    source: Mesh,
+    target: Mesh,
+    options: Options,
+    args: argparse.Namespace,
+    terminal: Terminal,
+    interrupts: Interrupts,
 ) -> Correspondence:
     """Match, and show each warning once: those that a user should read are raised and kept in the result, too."""
     import clalign
     from clalign.errors import ClalignWarning
     from clalign.geometry.cache import ShapeCache
 
+    match = clalign.match
+    interrupts.raise_missed()
     cache = None if args.no_cache else ShapeCache()
     with warnings.catch_warnings(record=True) as seen, terminal.progress() as progress:
         warnings.simplefilter("always", ClalignWarning)
-        result = clalign.match(source, target, options, progress=progress, cache=cache)
+        result = match(source, target, options, progress=progress, cache=cache)
     raised = [str(warning.message) for warning in seen if issubclass(warning.category, ClalignWarning)]
     for message in dict.fromkeys([*result.warnings, *raised]):
         terminal.warn(message)
