@@ -5,7 +5,7 @@ objective is Eq. 24, or Eq. 32 with the cycle term:
 
     l(R) = l_align(R) + λ l_unsup(R)          l(R) = l_align(R) + λ (l_unsup(R) + l_cyc(R)) / 2.
 
-Nothing of size n × n is made: P enters through Z = PᵀU, a quadratic form in c_j, and distances through low-rank factors.
+Nothing of size n × n is made: P enters through Z = PᵀU, a quadratic form in c_j, distances through low-rank factors.
 """
 
 from __future__ import annotations
@@ -59,6 +59,22 @@ class Evaluation:
 
 
 @dataclass(frozen=True)
+class Distortions:
+    """The terms that read distances, at one functional map.
+
+    Attributes
+    ----------
+    terms : "unsup" (Eq. 22) and, with the cycle term, "cycle" (Eq. 31).
+    slope : (k_y, k_x) on the backend, gradient of their sum by C.
+    slope_back : (k_x, k_y), its gradient by the functional map from Y to X; None without the cycle term.
+    """
+
+    terms: dict[str, Any]
+    slope: Any
+    slope_back: Any = None
+
+
+@dataclass(frozen=True)
 class _SoftMapState:
     """Intermediate arrays of one soft map that its gradient needs again."""
 
@@ -97,6 +113,13 @@ class AlignmentProblem:
         self._projection_x, self._projection_y = array(source.projection), array(target.projection)
         self._descriptors_x, self._descriptors_y = array(source.descriptors), array(target.descriptors)
         self._mass_x = array(source.loss_weights)
+        self._identity = array(np.eye(band.size))
+        self._bind_distances()
+
+    def _bind_distances(self) -> None:
+        """Upload what `_distortions` reads."""
+        source, target, factors = self.source, self.target, self.factors
+        backend, array = self.backend, self.backend.array
         self._sampled_basis = array(np.ascontiguousarray(source.basis[factors.vertices]))
         self._left, self._core_x = array(factors.left), array(factors.core)
         self._weights = array(factors.weights)
@@ -104,9 +127,8 @@ class AlignmentProblem:
         self._basis_y, self._soft_weights_y = array(target.basis), array(target.soft_weights)
         self._left_y = array(target.left)
         self._packed_y = backend.packed_moments(self._basis_y, self._soft_weights_y, self._left_y)
-        self._identity = array(np.eye(band.size))
         self._normal_y = None if target.normal is None else array(target.normal)
-        if options.cycle:
+        if self.options.cycle:
             self._basis_x = array(source.basis)
             self._normal_x = None if source.normal is None else array(source.normal)
             self._packed_x = backend.packed_moments(self._basis_x, array(source.soft_weights), array(source.left))
@@ -155,17 +177,15 @@ class AlignmentProblem:
         align, gradient = self._align(rotation, frozen)
         alpha, beta = self._coefficients(rotation)
         functional, gram = self._solve(alpha, beta)
-        state = self._soft_map(functional, self._sampled_basis, self._packed_y, self._normal_y)
-        unsup, dz = backend.distortion(state.z, self._core_y, self._left, self._core_x, self._weights)
-        scalars = {"align": align, "unsup": unsup}
+        functional_back, gram_back = self._solve(beta, alpha) if options.cycle else (None, None)
+        distortions = self._distortions(functional, functional_back)
+        scalars = {"align": align, **distortions.terms}
         unsup_weight = frozen.weight * (0.5 if options.cycle else 1.0)
-        slope = self._functional_gradient(state, self._sampled_basis, dz)
+        dalpha, dbeta = self._solve_gradient(distortions.slope, functional, gram, alpha, beta)
         if options.cycle:
-            scalars["cycle"], cycle_slope, back = self._cycle(state, alpha, beta)
-            slope = backend.add(slope, cycle_slope)
-        dalpha, dbeta = self._solve_gradient(slope, functional, gram, alpha, beta)
-        if options.cycle:
-            dbeta_back, dalpha_back = self._solve_gradient(*back)
+            dbeta_back, dalpha_back = self._solve_gradient(
+                distortions.slope_back, functional_back, gram_back, beta, alpha
+            )
             dalpha, dbeta = backend.add(dalpha, dalpha_back), backend.add(dbeta, dbeta_back)
         backend.add(gradient, self._rotation_gradient(dalpha, dbeta), scale_b=unsup_weight, out=gradient)
         scalars["unitarity"] = self._unitarity(rotation, gradient)
@@ -238,13 +258,23 @@ class AlignmentProblem:
         value = float(numerator) * scale
         return value, backend.add(dnumerator, ddenominator, scale_a=scale, scale_b=-value * scale)
 
-    def _cycle(self, there: _SoftMapState, alpha: Any, beta: Any) -> tuple[Any, Any, tuple[Any, ...]]:
-        """Return l_cyc (Eq. 31), its gradient by C, and what carries it on through the map back.
+    def _distortions(self, functional: Any, functional_back: Any) -> Distortions:
+        """Return Eq. 22 at C and, given the map back, Eq. 31, with their gradients."""
+        backend = self.backend
+        state = self._soft_map(functional, self._sampled_basis, self._packed_y, self._normal_y)
+        unsup, dz = backend.distortion(state.z, self._core_y, self._left, self._core_x, self._weights)
+        slope = self._functional_gradient(state, self._sampled_basis, dz)
+        if functional_back is None:
+            return Distortions({"unsup": unsup}, slope)
+        cycle, cycle_slope, slope_back = self._cycle(state, functional_back)
+        return Distortions({"unsup": unsup, "cycle": cycle}, backend.add(slope, cycle_slope), slope_back)
+
+    def _cycle(self, there: _SoftMapState, functional_back: Any) -> tuple[Any, Any, Any]:
+        """Return l_cyc (Eq. 31) and its gradients by C and by the map back.
 
         P̃ goes from Y to X: Z̃ = P̃ᵀU_X on all of Y, then PᵀZ̃ on the samples of X, with moments rebuilt from Z̃.
         """
         backend = self.backend
-        functional_back, gram_back = self._solve(beta, alpha)
         back = self._soft_map(functional_back, self._basis_y, self._packed_x, self._normal_x)
         packed = backend.packed_moments(self._basis_y, self._soft_weights_y, back.z)
         z, s = backend.soft_map(there.carried, packed, there.normal)
@@ -253,8 +283,7 @@ class AlignmentProblem:
         slope = self._functional_gradient(state, self._sampled_basis, dz)
         dpacked = self._packed_gradient(there.carried, s, dz)
         dz_back = backend.packed_moments_gradient(self._basis_y, self._soft_weights_y, dpacked)
-        slope_back = self._functional_gradient(back, self._basis_y, dz_back)
-        return value, slope, (slope_back, functional_back, gram_back, beta, alpha)
+        return value, slope, self._functional_gradient(back, self._basis_y, dz_back)
 
     def _packed_gradient(self, carried: Any, s: Any, dz: Any) -> Any:
         """Return the gradient by the packed moments: Σ_j vech(c_j c_jᵀ) dz_jr / s_j."""
