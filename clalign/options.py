@@ -124,10 +124,10 @@ class AlignmentOptions:
     sides : "both" aligns with R and R^T (Eq. 20), "one" with a single C~ on the source (Eq. 18).
     cycle : add the cycle term (Eq. 32).
     unitarity : weight of l_uni (Eq. 23) as a penalty; 0 only reports it.
-    denominator : "frozen" as in the paper, or "differentiated".
+    denominator : "frozen" as in the paper, which pays for a smaller R, or "differentiated", which does not.
     weights : "area" or the paper's "uniform" weights in the soft map and the losses.
     distances : "factors" (low rank) or "dense" (small meshes only).
-    samples : vertices of the source on which the losses are evaluated (0: all).
+    samples : farthest-point samples of the source on which the losses are evaluated (0: all vertices).
     rounds, iterations : at most so many rounds, each of at most so many L-BFGS evaluations.
     decay : λ is multiplied by this after every round.
     tolerance : a round ends when a step lowers the objective by less, relatively.
@@ -140,12 +140,12 @@ class AlignmentOptions:
     sides: Literal["both", "one"] = "both"
     cycle: bool = False
     unitarity: float = 0.0
-    denominator: Literal["frozen", "differentiated"] = "frozen"
+    denominator: Literal["frozen", "differentiated"] = "differentiated"
     weights: Weights = "area"
     distances: Literal["factors", "dense"] = "factors"
-    samples: int = 2000
-    rounds: int = 5
-    iterations: int = 30
+    samples: int = 1000
+    rounds: int = 3
+    iterations: int = 20
     decay: float = 0.5
     tolerance: float = 1e-5
 
@@ -162,7 +162,7 @@ class ReadoutOptions:
     readout : "aligned" (nearest neighbour among aligned eigenfunctions), "functional" (nearest neighbour of C phi
         among the psi) or "argmax" (Eq. 28).
     refine : spectral up-sampling before the alignment ("upsample"), with wavelet filters ("wavelet") or "none".
-    steps : both-way steps in the scale-invariant basis after the alignment.
+    steps : two-way steps in the scale-invariant basis, before the alignment and again after it.
     subvertex : also give every match as a point in a face.
     """
 
@@ -305,6 +305,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "spectrum.refinement": 120,
         "search.method": "random",
         "alignment.weights": "uniform",
+        "alignment.denominator": "frozen",
+        "alignment.decay": 1.0,
         "alignment.samples": 0,
         "alignment.rounds": 20,
         "alignment.iterations": 50,

@@ -150,6 +150,32 @@ def _meyer_filters(eigenvalues: NDArray[np.float64], largest: float, bands: int)
     return filters
 
 
+@dataclass(frozen=True)
+class Coherence:
+    """A functional map split into orthogonal directions and how well the two shapes agree in each.
+
+    Attributes
+    ----------
+    source : (k_x, r), to be multiplied from the right to the source's functions.
+    target : (k_y, r), to the target's; the products lie close together at matched vertices.
+    """
+
+    source: NDArray[np.float64]
+    target: NDArray[np.float64]
+
+
+def coherent_directions(functional: NDArray[np.float64]) -> Coherence:
+    """Return the singular directions of a two-way functional map, each weighted by its singular value (at most 1).
+
+    In the two-way least squares a singular value is the correlation, over both surfaces, between a function on X and
+    its image on Y: 1 where the shapes agree, less where they are not isometric. A nearest neighbour weighted so listens
+    to the directions that are known well. With all weights 1 it would be the orthogonalised functional map.
+    """
+    left, values, right = np.linalg.svd(functional, full_matrices=False)
+    weights = np.minimum(values, 1.0)
+    return Coherence(right.T * weights, left * weights)
+
+
 def orthogonalised(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the orthogonal matrix nearest to `matrix` (its polar factor)."""
     left, _, right = np.linalg.svd(matrix, full_matrices=False)

@@ -10,13 +10,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.alignment.dense import DenseProblem, dense_distances
 from clalign.alignment.funnel import funnel_band
 from clalign.alignment.maps import PointMaps
 from clalign.alignment.problem import AlignmentProblem, Evaluation
 from clalign.alignment.refine import (
     ClosedForm,
     closed_form_rotation,
-    unbanded_steps,
+    coherent_steps,
     up_sampled,
     vertex_maps,
     wavelet_steps,
@@ -115,7 +116,7 @@ def align_pair(source: Shape, target: Shape, backend: Backend, options: Options,
     maps = alignment.maps
     if options.readout.steps:
         with clock.stage("read-out"):
-            maps = unbanded_steps(backend, *descriptors, maps, options.readout.steps)
+            maps = coherent_steps(backend, *descriptors, maps, options.readout.steps)
     return AlignedPair(maps, alignment, *descriptors, functional, found, rivals, clock.seconds)
 
 
@@ -142,23 +143,24 @@ def bind(
 ) -> AlignmentProblem:
     """Return the alignment problem of a pair."""
     size = min(options.spectrum.basis, source.basis.count, target.basis.count)
-    return AlignmentProblem(
+    sides = (
         aligned_side(source, size, descriptors[0].functions, options.alignment),
         aligned_side(target, size, descriptors[1].functions, options.alignment),
-        sampled_factors(source, options.alignment),
-        band,
-        backend,
-        options.alignment,
     )
+    factors = sampled_factors(source, options.alignment)
+    if options.alignment.distances == "dense":
+        distances = dense_distances(source, target, options.geodesics.dense_below)
+        return DenseProblem(*sides, factors, distances, band, backend, options.alignment)
+    return AlignmentProblem(*sides, factors, band, backend, options.alignment)
 
 
 def _closed_form(
     backend: Backend, source: Shape, target: Shape, maps: PointMaps, band: Band, options: Options
 ) -> ClosedForm:
-    """Return R from two closed-form steps: the second uses the maps that the first reads out."""
+    """Return R from the maps after two closed-form steps in the scale-invariant basis."""
+    maps = coherent_steps(backend, source.descriptors, target.descriptors, maps, options.readout.steps)
     one_sided = options.alignment.sides == "one"
-    first = closed_form_rotation(backend, source.descriptors, target.descriptors, maps, band, one_sided)
-    return closed_form_rotation(backend, source.descriptors, target.descriptors, first.maps, band, one_sided)
+    return closed_form_rotation(backend, source.descriptors, target.descriptors, maps, band, one_sided)
 
 
 def _optimised(

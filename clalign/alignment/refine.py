@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from clalign.alignment.funnel import band_mask
 from clalign.alignment.maps import (
     PointMaps,
+    coherent_directions,
     functional_point_maps,
     nearest_rows,
     orthogonalised,
@@ -102,9 +103,9 @@ def closed_form_rotation(
     return ClosedForm(start, point_maps(backend, aligned, turned))
 
 
-def unbanded_steps(backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps, steps: int) -> PointMaps:
-    """Return the maps after `steps` two-way steps among the scale-invariant eigenfunctions, orthogonal but not banded."""
+def coherent_steps(backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps, steps: int) -> PointMaps:
+    """Return the maps after `steps` two-way steps among the scale-invariant eigenfunctions, weighted by coherence."""
     for _ in range(steps):
-        functional = orthogonalised(two_way_functional_map(backend, source, target, maps))
-        maps = functional_point_maps(backend, functional, source.functions, target.functions)
+        directions = coherent_directions(two_way_functional_map(backend, source, target, maps))
+        maps = point_maps(backend, source.functions @ directions.source, target.functions @ directions.target)
     return maps
