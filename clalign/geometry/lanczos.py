@@ -96,6 +96,9 @@ def lowest_pairs(matrix: sparse.csc_matrix, count: int, unit: float, threads: in
     # Minimum degree leaves up to five times more fill on regular meshes when vertices come in an unlucky order.
     order = reverse_cuthill_mckee(sparse.csr_matrix(matrix), symmetric_mode=True)
     matrix = sparse.csc_matrix(matrix[order][:, order])
+    # Sorted now: scipy would otherwise sort it in place, when first asked to, in several threads at once.
+    matrix.sum_duplicates()
+    matrix.sort_indices()
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         factors = _plan(matrix, count, unit, pool)
         borders = [0] + [(left.below + right.below) // 2 for left, right in itertools.pairwise(factors)]

@@ -15,6 +15,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from clalign.errors import ConvergenceError
 
 from .lanczos import factorise, lowest_pairs
+from .workers import single_threaded_blas
 
 logger = logging.getLogger(__name__)
 
@@ -89,12 +90,14 @@ def solve(
     inverse_root = sparse.diags_array(1.0 / root)
     operator = sparse.csc_matrix(inverse_root @ stiffness @ inverse_root)
     unit = eigenvalue_unit(mass)
-    if n < DENSE_BELOW:
-        values, vectors = scipy.linalg.eigh(operator.toarray(), subset_by_index=(0, capped - 1))
-    elif solver == "block":
-        values, vectors = _block(operator, capped, unit, threads)
-    else:
-        values, vectors = _arpack(operator, capped, unit)
+    # The many small products lose more by sharing out than they gain, and slices use the other processors.
+    with single_threaded_blas():
+        if n < DENSE_BELOW:
+            values, vectors = scipy.linalg.eigh(operator.toarray(), subset_by_index=(0, capped - 1))
+        elif solver == "block":
+            values, vectors = _block(operator, capped, unit, threads)
+        else:
+            values, vectors = _arpack(operator, capped, unit)
     residual = _largest_residual(operator, values, vectors, unit)
     if not residual <= TOLERANCE:
         raise ConvergenceError(f"an eigenpair of {capped} has residual {residual:.1e}, above {TOLERANCE:.0e}")

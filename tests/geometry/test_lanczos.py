@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import analytic
 import numpy as np
 import pytest
@@ -75,3 +77,19 @@ def test_a_basis_that_cannot_grow_is_an_error(matrix: sparse.csc_matrix, monkeyp
     monkeypatch.setattr(lanczos, "FIRST_CHECK", 0.5)
     with pytest.raises(ConvergenceError, match="did not converge"):
         lanczos.lowest_pairs(matrix, COUNT, np.pi)
+
+
+def test_threads_are_given_a_matrix_that_scipy_need_not_sort(
+    matrix: sparse.csc_matrix, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scipy sorts a matrix in place when first asked to; in several threads at once that destroys it."""
+    place = lanczos._plan
+    seen = []
+
+    def watch(permuted: sparse.csc_matrix, *arguments: Any) -> Any:
+        seen.append(permuted.has_sorted_indices and permuted.has_canonical_format)
+        return place(permuted, *arguments)
+
+    monkeypatch.setattr(lanczos, "_plan", watch)
+    lanczos.lowest_pairs(matrix, 20, np.pi, threads=2)
+    assert seen == [True]
