@@ -37,18 +37,36 @@ class Minimum:
 
 
 class _Recorder:
-    """Calls the objective for nlopt and keeps the best point, which nlopt loses when it stops early."""
+    """Calls the objective for nlopt and keeps the best point, which nlopt loses when it stops early.
+
+    What the objective raises is kept in `error`, and nlopt is asked to stop: an exception that crosses it is either
+    left pending, so that any later line of Python fails, or tells nothing of how far nlopt had come.
+    """
 
     def __init__(
-        self, objective: Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]], start: NDArray[np.float64]
+        self,
+        objective: Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]],
+        start: NDArray[np.float64],
+        stop: Callable[[], None],
     ) -> None:
         self.objective = objective
         self.best = start.copy()
         self.value = np.inf
         self.evaluations = 0
+        self.error: BaseException | None = None
+        self._stop = stop
 
     def __call__(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
-        point = np.array(x, dtype=np.float64)
+        if self.error is not None:
+            return float("inf")
+        try:
+            return self._evaluate(np.array(x, dtype=np.float64), gradient)
+        except BaseException as error:
+            self.error = error
+            self._stop()
+            return float("inf")
+
+    def _evaluate(self, point: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         value, slope = self.objective(point)
         self.evaluations += 1
         if gradient.size:
@@ -78,11 +96,12 @@ def minimise(
     Minimum
         Ctrl-C keeps the best point so far. Any other exception of the objective is passed on.
     """
-    recorder = _Recorder(objective, np.asarray(start, dtype=np.float64))
-    if evaluations <= 0 or start.size == 0:
-        value, _ = objective(recorder.best)
-        return Minimum(recorder.best, float(value), 1, "budget")
-    optimiser = nlopt.opt(nlopt.LD_LBFGS, start.size)
+    begin = np.asarray(start, dtype=np.float64)
+    if evaluations <= 0 or begin.size == 0:
+        value, _ = objective(begin)
+        return Minimum(begin.copy(), float(value), 1, "budget")
+    optimiser = nlopt.opt(nlopt.LD_LBFGS, begin.size)
+    recorder = _Recorder(objective, begin, optimiser.force_stop)
     optimiser.set_exceptions_enabled(False)
     optimiser.set_vector_storage(VECTOR_STORAGE)
     optimiser.set_min_objective(recorder)
@@ -90,9 +109,11 @@ def minimise(
     optimiser.set_ftol_rel(relative_tolerance)
     try:
         optimiser.optimize(recorder.best)
-        status = _status(optimiser.last_optimize_result(), recorder)
-    except KeyboardInterrupt:
-        status = "interrupted"
+    except KeyboardInterrupt as error:
+        recorder.error = recorder.error or error
+    if recorder.error is not None and not isinstance(recorder.error, KeyboardInterrupt):
+        raise recorder.error
+    status = "interrupted" if recorder.error else _status(optimiser.last_optimize_result(), recorder)
     LOG.debug("L-BFGS: %s after %d evaluations at %.6g", status, recorder.evaluations, recorder.value)
     return Minimum(recorder.best, recorder.value, recorder.evaluations, status)
 
