@@ -13,7 +13,7 @@ from clalign.errors import ClalignError, OptionError
 from clalign.geometry.workers import THREADS_VARIABLE, processor_count
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, LocalCluster
 
 logger = logging.getLogger(__name__)
 
@@ -54,32 +54,55 @@ def open_client(scheduler: str | None, workers: int, folder: Path) -> Iterator[C
         import distributed
     except ImportError as error:
         raise OptionError('collections run on Dask: pip install "clalign[collection]"') from error
-    calm = {
-        "distributed.scheduler.allowed-failures": 3,
-        "distributed.comm.timeouts.connect": "60s",
-        "distributed.admin.tick.limit": "60s",
-        "distributed.nanny.pre-spawn-environ": _shared_out(workers),
-    }
-    with dask.config.set(calm):
+    calm = {"distributed.comm.timeouts.connect": "60s", "distributed.admin.tick.limit": "60s"}
+    with dask.config.set(calm), _quiet():
         if scheduler is None:
-            cluster = distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=None,
-                silence_logs=logging.CRITICAL,
-            )
-            with cluster, distributed.Client(cluster) as client:
+            with _local_cluster(workers) as cluster, distributed.Client(cluster) as client:
                 yield client
             return
         try:
             client = distributed.Client(scheduler, timeout="20s")
-            client.wait_for_workers(1, timeout=WAIT_FOR_WORKERS)
         except (OSError, ValueError, TimeoutError) as error:
-            raise OptionError(f"--scheduler {scheduler}: no Dask scheduler with a worker answers there") from error
+            raise OptionError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from error
         with client:
             _check_workers(client, folder)
             yield client
+
+
+@contextmanager
+def _local_cluster(workers: int) -> Iterator[LocalCluster]:
+    import dask
+    import distributed
+
+    settings = {
+        "distributed.scheduler.allowed-failures": 3,
+        "distributed.nanny.pre-spawn-environ": _shared_out(workers),
+    }
+    with (
+        dask.config.set(settings),
+        distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+    ):
+        yield cluster
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask's own log, which tells of every connection and of workers that we mean to lose, off the terminal."""
+    talkers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [talker.level for talker in talkers]
+    for talker in talkers:
+        talker.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for talker, level in zip(talkers, levels, strict=True):
+            talker.setLevel(level)
 
 
 def _shared_out(workers: int) -> dict[str, str]:
@@ -100,6 +123,10 @@ def _check_workers(client: Client, folder: Path) -> None:
     """
     import clalign
 
+    try:
+        client.wait_for_workers(1, timeout=WAIT_FOR_WORKERS)
+    except TimeoutError as error:
+        raise OptionError(f"the Dask scheduler has no worker after {WAIT_FOR_WORKERS:.0f} s") from error
     for worker, (version, seen) in client.run(_facts, str(folder)).items():
         if version != clalign.__version__:
             raise OptionError(

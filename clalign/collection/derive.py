@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import clalign
 from clalign.alignment.funnel import funnel_band
 from clalign.alignment.pipeline import Clock, grown_maps
-from clalign.alignment.refine import closed_form_rotation, unbanded_steps
+from clalign.alignment.refine import closed_form_rotation, coherent_steps
 from clalign.correspondence import Correspondence
 from clalign.engine.backend import Backend
 from clalign.geometry.mesh import Mesh
@@ -34,12 +34,12 @@ def derived_correspondence(
         maps = grown_maps(backend, source, target, functional, options)
     count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
     descriptors = source.descriptors.head(count), target.descriptors.head(count)
+    with clock.stage("read-out"):
+        # As many steps as a match makes before and after its optimisation.
+        maps = coherent_steps(backend, *descriptors, maps, 2 * options.readout.steps)
     with clock.stage("closed form"):
         band = funnel_band(count, options.alignment)
         closed = closed_form_rotation(backend, *descriptors, maps, band, options.alignment.sides == "one")
-    if options.readout.steps:
-        with clock.stage("read-out"):
-            maps = unbanded_steps(backend, *descriptors, maps, options.readout.steps)
     return Correspondence(
         source=source.mesh,
         target=target.mesh,

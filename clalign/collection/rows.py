@@ -110,8 +110,8 @@ def read_rows(kind: type[Row], folder: Path) -> list[Row]:
     path = folder / kind.FILE
     if not path.is_file() or not path.stat().st_size:
         return []
-    with path.open(newline="", encoding="utf-8") as stream:
-        lines = list(csv.reader(stream))
+    # Line by line, as no cell holds a line break: a line that was cut inside quotes must not swallow the next one.
+    lines = [next(csv.reader([line])) for line in path.read_text(encoding="utf-8").split("\n") if line]
     if lines[0] != _columns(kind):
         raise ResultError(f"{path}: was not written by this version of clalign; choose another --out")
     return [_row(kind, cells) for cells in lines[1:] if len(cells) == len(lines[0])]
