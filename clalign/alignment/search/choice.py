@@ -38,7 +38,9 @@ class Ranking:
         """Ln of the best different map's score over the chosen one's; infinite without a rival."""
         if len(self.rivals) < 2:
             return float("inf")
-        return float(np.log(self.scores[self.rivals[1]] / self.scores[self.rivals[0]]))
+        # A shape matched with itself has the score 0, and so have all its maps if it is symmetric.
+        chosen, rival = np.maximum(self.scores[list(self.rivals[:2])], np.finfo(np.float64).tiny)
+        return float(np.log(rival / chosen))
 
 
 def field_differences(
