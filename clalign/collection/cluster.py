@@ -76,7 +76,7 @@ def _local_cluster(workers: int) -> Iterator[LocalCluster]:
 
     settings = {
         "distributed.scheduler.allowed-failures": 3,
-        "distributed.nanny.pre-spawn-environ": _shared_out(workers),
+        "distributed.nanny.pre-spawn-environ": shared_out(workers),
     }
     with (
         dask.config.set(settings),
@@ -105,7 +105,7 @@ def _quiet() -> Iterator[None]:
             talker.setLevel(level)
 
 
-def _shared_out(workers: int) -> dict[str, str]:
+def shared_out(workers: int) -> dict[str, str]:
     """Return the variables of a local worker; the libraries read them when they load, so they are set before."""
     share = str(max(1, processor_count() // workers))
     single = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from clalign.alignment.forecast import available_memory
+from clalign.alignment.forecast import forecast as forecast_match
 from clalign.collection.members import Member
 from clalign.collection.session import HELD_SHAPES
 from clalign.errors import MemoryBudgetError, MeshError, ResultError
 from clalign.geometry.mesh import load_mesh
 from clalign.options import Options
 
-PROCESS_BYTES = 400e6
-"""Of a worker with its libraries and an open device, before it holds a shape."""
-
-WORK_BYTES_PER_VERTEX = 30e3
-"""Of matching, above the shapes: factors of the solver, moments of the soft map, candidates of the search."""
+DASK_BYTES = 100e6
+"""Of a worker process, beside what a match takes."""
 
 PAGE_BYTES, PAGE_BYTES_PER_VERTEX = 1.1e6, 45.0
 """Of a pair's page: library and picture, then positions, faces, maps and a few functions of both shapes."""
@@ -64,6 +62,7 @@ def forecast(
     largest, vertices = _largest(members)
     share = [min(1.0, member.size / largest.size) for member in members]
     shape = shape_bytes(vertices, options)
+    match = forecast_match(vertices, vertices, options)
     mean = sum(share) / len(share) * vertices
     pair = 2 * 4 * mean + 8 * latent**2 + 4096
     if pages:
@@ -76,7 +75,7 @@ def forecast(
         cache=sum(shape_bytes(vertices * part, options) for part in share),
         pair=pair,
         pairs=pair * pairs,
-        worker=PROCESS_BYTES + (HELD_SHAPES + 1) * shape + WORK_BYTES_PER_VERTEX * vertices,
+        worker=DASK_BYTES + (match.memory if pages else match.match_memory) + (HELD_SHAPES - 2) * shape,
     )
 
 
@@ -123,6 +122,8 @@ def workers_that_fit(needed: float, wanted: int | None, processors: int) -> int:
         The memory is too small for what is wanted, or for a single worker.
     """
     free = available_memory()
+    if free is None:
+        return wanted or processors
     fitting = int(free // needed)
     if fitting < (wanted or 1):
         raise MemoryBudgetError(
@@ -130,20 +131,6 @@ def workers_that_fit(needed: float, wanted: int | None, processors: int) -> int:
             "are free; use fewer --workers, or fewer functions (--preset fast)"
         )
     return wanted or max(1, min(processors, fitting))
-
-
-def available_memory() -> float:
-    """Return the bytes of memory that can be taken without swapping, as far as the system tells."""
-    try:
-        with open("/proc/meminfo", encoding="ascii") as lines:
-            for line in lines:
-                if line.startswith("MemAvailable:"):
-                    return 1024.0 * int(line.split()[1])
-    except OSError:
-        pass
-    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
-        return 0.75 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return float("inf")
 
 
 def size_text(size: float) -> str:

@@ -113,10 +113,10 @@ def _finished_pair(
             # What there is to warn of is in the result and gets to the row.
             warnings.simplefilter("ignore")
             result = work()
-        row = _row(source, target, kind, result)
+        row = replace(_row(source, target, kind, result), seconds=time.perf_counter() - started)
         maps = pair_maps(result, settings.latent)
         settings.store.write_pair(room, row, key, maps, lambda folder: _extras(result, folder, settings))
-        return replace(row, seconds=time.perf_counter() - started)
+        return row
     except Exception as error:
         logger.debug("%s %s", source.name, target.name, exc_info=True)
         return PairRow(source.name, target.name, kind, "failed", explained(error), worker=_here())
@@ -161,7 +161,6 @@ def _row(source: Member, target: Member, kind: Kind, result: Correspondence) -> 
         total=finite(result.losses.get("total")),
         align=finite(result.losses.get("align")),
         unsup=finite(result.losses.get("unsup")),
-        seconds=sum(result.timings.values()),
         stages=";".join(f"{name}={seconds:.3f}" for name, seconds in result.timings.items()),
         warnings=" | ".join(result.warnings),
         device=result.device,
