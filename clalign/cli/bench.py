@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from clalign.cli import bench_accuracy, bench_study
+from clalign.cli import bench_accuracy, bench_collection, bench_study
 
-SUBCOMMANDS = (bench_accuracy, bench_study)
+SUBCOMMANDS = (bench_accuracy, bench_study, bench_collection)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
