@@ -1,0 +1,110 @@
+"""Predicted memory against what a process really takes, and matches that are refused because they will not fit."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from clalign.alignment import forecast as forecasts
+from clalign.alignment.forecast import available_memory, forecast, require_memory, sizes
+from clalign.errors import MemoryBudgetError
+from clalign.options import Options
+
+GIB, MIB = 2**30, 2**20
+CPU = {"device": "pthread", "kind": "cpu", "memory": 10 * GIB, "largest_buffer": 4 * GIB}
+GPU = {**CPU, "device": "card", "kind": "gpu"}
+
+MEASURE = """
+import resource, sys, warnings
+sys.path.insert(0, sys.argv[1])
+warnings.simplefilter("ignore")
+import shapes, clalign
+from clalign.options import Options
+vertices, faces = shapes.bumpy_sphere(4)
+options = Options.preset("fast").replace({"search.method": "random", "engine.backend": "reference"})
+clalign.match((vertices, faces), (shapes.bent(vertices, 0.3), faces), options)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the unit of ru_maxrss differs elsewhere")
+def test_memory_of_a_real_match_is_predicted_within_a_factor_of_two() -> None:
+    command = [sys.executable, "-c", MEASURE, str(Path(__file__).parents[1])]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=200)
+    options = Options.preset("fast").replace({"engine.backend": "reference"})
+    predicted = forecast(2562, 2562, options).match_memory
+    assert 0.5 < predicted / int(done.stdout) < 2.0
+
+
+def test_sizes_of_small_and_of_large_meshes() -> None:
+    small = sizes(162, 300, Options())
+    assert (small.descriptors, small.functions, small.basis, small.losses) == (54, 54, 54, 162)
+    large = sizes(50_000, 50_000, Options())
+    assert (large.descriptors, large.functions, large.basis) == (352, 200, 120)
+    assert (large.samples, large.rows, large.rank) == (400, 100, 50)
+    assert sizes(5000, 5000, Options.preset("paper")).losses == 5000
+
+
+def test_more_of_anything_needs_more() -> None:
+    base = forecast(5000, 5000, Options(), processors=2)
+    for counts, changes in (
+        ((10_000, 5000), {}),
+        ((5000, 10_000), {}),
+        ((5000, 5000), {"spectrum.descriptors": 700}),
+        ((5000, 5000), {"spectrum.refinement": 900}),
+        ((5000, 5000), {"engine.precision": "double"}),
+    ):
+        other = forecast(*counts, Options().replace(changes), processors=2)
+        assert other.match_memory > base.match_memory
+        assert other.memory >= base.memory
+        assert other.seconds >= base.seconds
+    assert forecast(5000, 5000, Options(), processors=8).seconds < base.seconds
+
+
+def test_what_fits_is_let_through_with_its_forecast() -> None:
+    for device in (None, CPU, GPU):
+        predicted = require_memory(2562, 2562, Options(), device)
+        assert 0 < predicted.match_memory < 2 * GIB
+
+
+@pytest.mark.parametrize(
+    ("changes", "device", "words"),
+    [
+        ({"engine.memory": 100 * MIB}, CPU, "engine.memory allows 100 MiB"),
+        ({}, {**GPU, "memory": 64 * MIB}, r"needs about \d+ MiB on the device, card has 64 MiB"),
+        ({}, {**GPU, "largest_buffer": MIB}, r"needs about 14 MiB in one buffer, card has 1 MiB"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_numbers_and_a_way_out(
+    changes: dict[str, int], device: dict[str, object], words: str
+) -> None:
+    with pytest.raises(MemoryBudgetError, match=words) as caught:
+        require_memory(10_242, 10_242, Options().replace(changes), device)
+    message = str(caught.value)
+    assert message.startswith("a match of 10,242 with 10,242 vertices needs about ")
+    assert "--preset fast" in message
+    assert "\n" not in message
+
+
+def test_a_small_machine_is_asked_for_what_it_has_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forecasts, "available_memory", lambda: 300 * MIB)
+    with pytest.raises(MemoryBudgetError, match="this machine has free 300 MiB"):
+        require_memory(10_242, 10_242, Options())
+    # Who gives a limit knows better, and a machine that tells nothing is trusted.
+    assert require_memory(10_242, 10_242, Options().replace({"engine.memory": 8 * GIB}))
+    monkeypatch.setattr(forecasts, "available_memory", lambda: None)
+    assert require_memory(10_242, 10_242, Options())
+
+
+def test_memory_of_this_machine_and_of_a_container(tmp_path: Path) -> None:
+    free = available_memory()
+    assert free is None or 50 * MIB < free < 2**50
+    for name, content in (("memory.max", "1000\n"), ("memory.current", "700\n"), ("memory.stat", "inactive_file 50\n")):
+        (tmp_path / name).write_text(content)
+    assert forecasts._group_memory(tmp_path) == 350
+    (tmp_path / "memory.max").write_text("max\n")
+    assert forecasts._group_memory(tmp_path) is None
+    assert forecasts._group_memory(tmp_path / "none") is None
