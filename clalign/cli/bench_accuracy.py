@@ -70,7 +70,8 @@ def _add(
         default="default",
         help="comma-separated: default, fast, cycle, isometric, heat-kernel, euclidean, regularized, one-sided, "
         "unitarity, differentiated, uniform, full-band, diagonal-band, no-band, search-only, mirrored, paper, "
-        "paper-searched, paper-cycle, paper-isometric, paper-heat-kernel, paper-one-sided, paper-mirrored, pyfm (default: %(default)s)",
+        "paper-searched, paper-cycle, paper-isometric, paper-heat-kernel, paper-one-sided, paper-mirrored, "
+        "pyfm (default: %(default)s)",
     )
     parser.add_argument(
         "--set", metavar="GROUP.NAME=VALUE", action="append", default=[], dest="changes", help="change an option of all"

@@ -63,6 +63,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--pair-index", metavar="K", type=int, help="first eigenfunction of figure 2 (default: most turned)"
     )
     parser.add_argument(
+        "--height", metavar="N", type=int, default=300, help="pixels of a panel of one shape (default: 300)"
+    )
+    parser.add_argument(
         "--set", metavar="GROUP.NAME=VALUE", action="append", default=[], dest="changes", help="change an option of all"
     )
     parser.add_argument("--device", metavar="SPEC", help="as of 'clalign match'")
@@ -136,6 +139,8 @@ def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
     from clalign.geometry.cache import ShapeCache
     from clalign.presentation.figures.gallery import MAIN, Subject
 
+    if args.height < 20:
+        raise OptionError(f"--height must be at least 20, got {args.height}")
     if len(args.paths) > 2:
         raise OptionError(f"name one result folder or two meshes, not {len(args.paths)} paths")
     known: Correspondence | None = None
@@ -151,7 +156,7 @@ def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
         known={} if known is None else {MAIN: known},
     )
     names = tuple(name.strip() for name in (args.variants or "").split(",") if name.strip())
-    return Subject(problem, runs, names, args.index, args.pair_index)
+    return Subject(problem, runs, names, args.index, args.pair_index, args.height)
 
 
 def _watch(terminal: Terminal) -> Callable[[str], Callable[[str, float, str], None]]:

@@ -56,7 +56,8 @@ class PairRotation:
     block : (2, 2) part of C̃.
     angle : of the rotation nearest to the block, in degrees, in (-180, 180].
     reflected : the nearest orthogonal matrix is that rotation after the second function changed its sign.
-    kept : share of the two functions' energy that stays in their span, at most 1 for orthogonal C̃.
+    kept : share of the energy of the two rows and columns of C̃ that lies in the block; 1 when the span is carried to
+        the span.
     """
 
     block: NDArray[np.float64]
@@ -162,7 +163,9 @@ def pair_rotation(rotation: NDArray[np.float64], first: int) -> PairRotation:
     if reflected:
         nearest = nearest * np.array([[1.0], [-1.0]])
     angle = float(np.degrees(np.arctan2(nearest[1, 0] - nearest[0, 1], nearest[0, 0] + nearest[1, 1])))
-    return PairRotation(block.copy(), angle, reflected, float(np.square(block).sum() / 2.0))
+    rows, columns = rotation[first : first + 2], rotation[:, first : first + 2]
+    energy = max(0.5 * float(np.square(rows).sum() + np.square(columns).sum()), np.finfo(np.float64).tiny)
+    return PairRotation(block.copy(), angle, reflected, float(np.square(block).sum() / energy))
 
 
 def most_rotated_pair(

@@ -21,18 +21,19 @@ from clalign.evaluation.spectral_errors import (
     true_rotation,
 )
 
-from .sheet import AFTER, BEFORE, Cell, Drawing, Image, Table, panel_sheet
+from .sheet import AFTER, BEFORE, PANEL_HEIGHT, Cell, Drawing, Image, Table, panel_sheet
 from .surfaces import PairView
 
 #: Paper's numbers (from 1) of the functions of Fig. 1.
 SHOWN = (2, 3, 4, 5, 12, 13, 14, 15, 22, 23, 24, 25)
 SHOWN_INDEX = 7
-_HEIGHT = 300
 
 Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
-def draw_eigenfunctions(result: Correspondence, maps: TrueMaps, shown: Sequence[int] = SHOWN) -> Drawing:
+def draw_eigenfunctions(
+    result: Correspondence, maps: TrueMaps, shown: Sequence[int] = SHOWN, height: int = PANEL_HEIGHT
+) -> Drawing:
     """Draw Fig. 1: corresponding eigenfunctions on both shapes, before (pink) and after alignment (green).
 
     Parameters
@@ -40,13 +41,14 @@ def draw_eigenfunctions(result: Correspondence, maps: TrueMaps, shown: Sequence[
     result : the match.
     maps : what err(k) is measured by: the truth, or the found maps where there is none.
     shown : numbers of eigenfunctions, from 1; those beyond the last one are left out.
+    height : of a panel, in pixels.
     """
     view = PairView.of(result)
     kept = [number for number in shown if number <= len(result.rotation)]
     before, after = _unaligned(result), (result.source_aligned, result.target_aligned)
     grid: list[list[Image]] = []
     for functions, background in ((before, BEFORE), (after, AFTER)):
-        panels = [_panels(view, functions, number - 1, _HEIGHT, background) for number in kept]
+        panels = [_panels(view, functions, number - 1, height, background) for number in kept]
         grid += [[panel[0] for panel in panels], [panel[1] for panel in panels]]
     errors = [_errors(result, functions, maps) for functions in (before, after)]
     figure = panel_sheet(
@@ -60,13 +62,16 @@ def draw_eigenfunctions(result: Correspondence, maps: TrueMaps, shown: Sequence[
     return Drawing(figure, Table(("eigenfunction", "error_before", "error_after"), rows))
 
 
-def draw_pair_rotation(result: Correspondence, maps: TrueMaps, first: int | None = None) -> Drawing:
+def draw_pair_rotation(
+    result: Correspondence, maps: TrueMaps, first: int | None = None, height: int = PANEL_HEIGHT
+) -> Drawing:
     """Draw Fig. 2: two neighbouring eigenfunctions that are turned within their span, and the turn recovered.
 
     Parameters
     ----------
     maps : the truth.
     first : number (from 1) of the first function; None takes the pair that is turned most.
+    height : of a panel, in pixels.
 
     Raises
     ------
@@ -84,7 +89,7 @@ def draw_pair_rotation(result: Correspondence, maps: TrueMaps, first: int | None
     before, after = _unaligned(result), (result.source_aligned, result.target_aligned)
     grid = []
     for number in (place, place + 1):
-        left, right = _panels(view, before, number, _HEIGHT, BEFORE), _panels(view, after, number, _HEIGHT, AFTER)
+        left, right = _panels(view, before, number, height, BEFORE), _panels(view, after, number, height, AFTER)
         grid.append([*left, *right])
     errors = [_errors(result, functions, maps)[place : place + 2] for functions in (before, after)]
     notes = [f"C̃ of the truth\n{_block_text(blocks[0])}", f"C̃ recovered\n{_block_text(blocks[1])}"]
@@ -99,7 +104,9 @@ def draw_pair_rotation(result: Correspondence, maps: TrueMaps, first: int | None
     return Drawing(figure, _rotation_table(place, blocks, errors))
 
 
-def draw_variants(results: Mapping[str, Correspondence], maps: TrueMaps, number: int = SHOWN_INDEX) -> Drawing:
+def draw_variants(
+    results: Mapping[str, Correspondence], maps: TrueMaps, number: int = SHOWN_INDEX, height: int = PANEL_HEIGHT
+) -> Drawing:
     """Draw Fig. 8: one eigenfunction on both shapes, unaligned and aligned by variants of the method.
 
     Parameters
@@ -107,6 +114,7 @@ def draw_variants(results: Mapping[str, Correspondence], maps: TrueMaps, number:
     results : label to match of the same pair.
     maps : the truth.
     number : of the eigenfunction, from 1.
+    height : of a panel, in pixels.
 
     Raises
     ------
@@ -121,7 +129,7 @@ def draw_variants(results: Mapping[str, Correspondence], maps: TrueMaps, number:
     functions |= {label: (result.source_aligned, result.target_aligned) for label, result in results.items()}
     panels: list[Image] = []
     for label, pair in functions.items():
-        panels += _panels(view, pair, number - 1, _HEIGHT, BEFORE if label == "unaligned" else AFTER)
+        panels += _panels(view, pair, number - 1, height, BEFORE if label == "unaligned" else AFTER)
     errors = {label: float(_errors(first, pair, maps)[number - 1]) for label, pair in functions.items()}
     figure = panel_sheet(
         [panels],

@@ -21,7 +21,7 @@ from clalign.presentation.curves import AXIS_LABELS
 
 from .eigenfunctions import SHOWN_INDEX, draw_eigenfunctions, draw_pair_rotation, draw_variants
 from .maps import draw_error_curves, draw_matched_colours, draw_mirrored
-from .sheet import Drawing
+from .sheet import PANEL_HEIGHT, Drawing
 from .spectral import draw_funnel, draw_spectral_errors
 
 MAIN = "default"
@@ -41,6 +41,7 @@ class Subject:
     variants : names that replace a figure's own choice of variants; empty keeps it.
     index : number of the eigenfunction of Fig. 8.
     pair_index : number of the first eigenfunction of Fig. 2; None takes the pair that is turned most.
+    height : of a panel of one shape, in pixels.
     """
 
     problem: Problem
@@ -48,6 +49,7 @@ class Subject:
     variants: tuple[str, ...] = ()
     index: int = SHOWN_INDEX
     pair_index: int | None = None
+    height: int = PANEL_HEIGHT
 
     @property
     def result(self) -> Correspondence:
@@ -105,13 +107,13 @@ def _curves(subject: Subject) -> Drawing:
 
 def _matched(subject: Subject) -> Drawing:
     results = {subject.problem.name: subject.result}
-    return draw_matched_colours(results, subject.evaluated(results))
+    return draw_matched_colours(results, subject.evaluated(results), subject.height)
 
 
 def _mirrored(subject: Subject) -> Drawing:
     known = subject.problem.mirrored is not None
     results = subject.chosen([name for name in STARTS if known or name != PAPER_MIRRORED])
-    return draw_mirrored(results, subject.evaluated(results))
+    return draw_mirrored(results, subject.evaluated(results), subject.height)
 
 
 def _spectral(subject: Subject) -> Drawing:
@@ -123,12 +125,12 @@ def _spectral(subject: Subject) -> Drawing:
 PLANS: dict[str, Plan] = {
     "1": Plan(
         "eigenfunctions before and after alignment",
-        lambda subject: draw_eigenfunctions(subject.result, subject.maps),
+        lambda subject: draw_eigenfunctions(subject.result, subject.maps, height=subject.height),
         needs_truth=False,
     ),
     "2": Plan(
         "a rotation inside a pair of eigenfunctions",
-        lambda subject: draw_pair_rotation(subject.result, subject.maps, subject.pair_index),
+        lambda subject: draw_pair_rotation(subject.result, subject.maps, subject.pair_index, subject.height),
     ),
     "3": Plan("the true C̃ with its funnel", lambda subject: draw_funnel(subject.result, subject.maps)),
     "5": Plan("error curves of the variants", _curves),
@@ -136,7 +138,7 @@ PLANS: dict[str, Plan] = {
     "7": Plan("a mirrored result and the search that avoids it", _mirrored),
     "8": Plan(
         "one eigenfunction under the variants",
-        lambda subject: draw_variants(subject.chosen(ALIGNED_VARIANTS), subject.maps, subject.index),
+        lambda subject: draw_variants(subject.chosen(ALIGNED_VARIANTS), subject.maps, subject.index, subject.height),
     ),
     "9": Plan("alignment error over the eigenfunctions", _spectral),
 }

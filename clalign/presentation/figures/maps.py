@@ -13,11 +13,9 @@ from clalign.presentation.curves import AXIS_LABELS, Unit
 from clalign.presentation.surface_map import surface_map
 
 from .eigenfunctions import _panels
-from .sheet import AFTER, BEFORE, Drawing, Image, Table, new_figure, panel_sheet
+from .sheet import AFTER, BEFORE, PANEL_HEIGHT, Drawing, Image, Table, new_figure, panel_sheet
 from .surfaces import PairView
 
-_HEIGHT = 560
-_SMALL = 300
 _LOSSES = ("total", "align", "unsup", "unitarity")
 _MIRROR_SHOWN = (2, 3, 4, 5)
 
@@ -47,18 +45,21 @@ def draw_error_curves(curves: Mapping[Unit, Curves]) -> Drawing:
     return Drawing(figure, Table(("threshold", *(name for name, _ in named)), rows))
 
 
-def draw_matched_colours(results: Mapping[str, Correspondence], evaluations: Mapping[str, Evaluation]) -> Drawing:
+def draw_matched_colours(
+    results: Mapping[str, Correspondence], evaluations: Mapping[str, Evaluation], height: int = PANEL_HEIGHT
+) -> Drawing:
     """Draw Fig. 6: corresponding points of each pair in one colour, the target's colours carried to the source.
 
     Parameters
     ----------
     results : label to match.
     evaluations : those that could be measured, by the same labels.
+    height : half the height of a panel, in pixels.
     """
     panels: list[Image] = []
     notes: list[str] = []
     for label, result in results.items():
-        panels += PairView.of(result).map_panels(result.target.vertices, surface_map(result), _HEIGHT)
+        panels += PairView.of(result).map_panels(result.target.vertices, surface_map(result), 2 * height)
         notes.append(_error_text(evaluations.get(label)))
     figure = panel_sheet(
         [panels],
@@ -71,23 +72,26 @@ def draw_matched_colours(results: Mapping[str, Correspondence], evaluations: Map
     return Drawing(figure, Table(("pair", "mean", "median", "exact", "mirrored_mean", "flipped"), rows))
 
 
-def draw_mirrored(results: Mapping[str, Correspondence], evaluations: Mapping[str, Evaluation]) -> Drawing:
+def draw_mirrored(
+    results: Mapping[str, Correspondence], evaluations: Mapping[str, Evaluation], height: int = PANEL_HEIGHT
+) -> Drawing:
     """Draw Fig. 7: maps of one pair from different starts, and the first aligned eigenfunctions that they lead to.
 
     Parameters
     ----------
     results : label to match of one pair; the last one is drawn as the good one.
     evaluations : by the same labels, with errors to the mirrored truth where it is known.
+    height : of a panel, in pixels.
     """
     grid: list[list[Image]] = []
     *_, good = results.values()
     view = PairView.of(good)
     for result in results.values():
-        panels = [*view.map_panels(result.target.vertices, surface_map(result), _SMALL)]
+        panels = [*view.map_panels(result.target.vertices, surface_map(result), height)]
         background = AFTER if result is good else BEFORE
         for number in _MIRROR_SHOWN:
             index = min(number, len(result.rotation)) - 1
-            panels += _panels(view, (result.source_aligned, result.target_aligned), index, _SMALL, background)
+            panels += _panels(view, (result.source_aligned, result.target_aligned), index, height, background)
         grid.append(panels)
     figure = panel_sheet(
         grid,

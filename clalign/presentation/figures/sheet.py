@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from clalign.errors import InputError
 
 DPI = 200
+PANEL_HEIGHT = 300
 _LINE = 26
 BEFORE = (0.985, 0.925, 0.935)
 AFTER = (0.915, 0.965, 0.925)

@@ -60,13 +60,14 @@ def draw_funnel(result: Correspondence, maps: TrueMaps) -> Drawing:
     panels[0].set_ylabel("eigenfunction of the source", fontsize=8)
     figure.set_layout_engine("constrained")
     rows_inside = [np.square(np.where(mask, m, 0.0)).sum(1) / np.square(m).sum(1) for m in (true, recovered)]
-    columns = (coupling_spread(true), coupling_spread(recovered), *rows_inside)
+    norms = [np.linalg.norm(m, axis=1) for m in (true, recovered)]
+    columns = (coupling_spread(true), coupling_spread(recovered), *rows_inside, *norms)
     rows = tuple(
         (int(i), int(band.lower[i - 1]) + 1, int(band.upper[i - 1]), *(float(column[i - 1]) for column in columns))
         for i in index
     )
     names = ("eigenfunction", "first_column", "last_column", "spread_true", "spread_recovered")
-    return Drawing(figure, Table((*names, "inside_true", "inside_recovered"), rows))
+    return Drawing(figure, Table((*names, "inside_true", "inside_recovered", "norm_true", "norm_recovered"), rows))
 
 
 def draw_spectral_errors(errors: Mapping[str, SpectralErrors]) -> Drawing:

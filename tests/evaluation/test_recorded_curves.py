@@ -1,0 +1,27 @@
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import datasets
+import pytest
+
+from clalign.cli.main import main
+from clalign.evaluation import methods
+
+
+def test_command_draws_curves_of_a_benchmark(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ["paper", "default"]
+    monkeypatch.setattr(methods, "named_methods", lambda _, changes: [datasets.NearestMethod(name) for name in names])
+    datasets.write_poses(tmp_path / "faust", [f"tr_reg_{number:03d}" for number in range(3)])
+    bench = ["bench", "faust", "--root", str(tmp_path / "faust"), "--out", str(tmp_path / "bench"), "--quiet"]
+    assert main(bench) == 0
+    figures = ["figures", str(tmp_path / "bench"), "--out", str(tmp_path / "out")]
+    assert main([*figures, "--which", "5"]) == 0
+    with (tmp_path / "out" / "figure-5.csv").open(encoding="utf-8") as stream:
+        last = list(csv.DictReader(stream))[-1]
+    assert set(last) >= {"as printed (Eq. 24) / diameter", "this program / sqrt_area"}
+    assert main([*figures, "--which", "1"]) == 2
+    assert "ask for --which 5" in capsys.readouterr().err
