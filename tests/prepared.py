@@ -1,0 +1,85 @@
+"""Prepared shapes of a few hundred vertices, and alignment problems bound to a backend."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import shapes
+from numpy.typing import NDArray
+from shapes import Pair
+
+from clalign.alignment.funnel import funnel_band
+from clalign.alignment.maps import PointMaps
+from clalign.alignment.pipeline import bind
+from clalign.alignment.problem import AlignmentProblem
+from clalign.alignment.refine import closed_form_rotation
+from clalign.engine import Backend, Reference
+from clalign.geometry.mesh import mesh_from_arrays
+from clalign.geometry.shape import Shape, prepare
+from clalign.options import Options
+
+#: Enough functions and samples for shapes of 162 or 642 vertices.
+SMALL = Options().replace(
+    {
+        "spectrum.basis": 16,
+        "spectrum.refinement": 16,
+        "spectrum.descriptors": 20,
+        "geodesics.factor_samples": 40,
+        "geodesics.search_samples": 60,
+        "alignment.samples": 50,
+    }
+)
+MIDDLE = Options().replace(
+    {
+        "spectrum.basis": 40,
+        "spectrum.refinement": 60,
+        "spectrum.descriptors": 60,
+        "geodesics.factor_samples": 60,
+        "geodesics.search_samples": 250,
+        "alignment.samples": 250,
+    }
+)
+
+
+class PreparedPair(NamedTuple):
+    """Two prepared shapes and the maps between them that are right."""
+
+    source: Shape
+    target: Shape
+    truth: PointMaps
+
+
+def prepared_pair(pair: Pair, options: Options) -> PreparedPair:
+    source, target = (prepare(mesh_from_arrays(*arrays), options) for arrays in (pair.source, pair.target))
+    return PreparedPair(source, target, PointMaps(pair.truth, np.argsort(pair.truth)))
+
+
+def tiny_pair(angle: float = 0.2) -> Pair:
+    """Return the bumpy sphere at 162 vertices and a bent copy, each numbered in its own order."""
+    vertices, faces = shapes.bumpy_sphere(2)
+    source_vertices, source_faces, source_of_old = shapes.renumbered(vertices, faces, 1)
+    target_vertices, target_faces, target_of_old = shapes.renumbered(shapes.bent(vertices, angle), faces, 2)
+    return Pair(
+        (source_vertices, source_faces), (target_vertices, target_faces), target_of_old[np.argsort(source_of_old)]
+    )
+
+
+class Bound(NamedTuple):
+    """A problem and the rotation that its true maps give."""
+
+    problem: AlignmentProblem
+    rotation: NDArray[np.float64]
+    truth: PointMaps
+
+
+def bound(pair: PreparedPair, options: Options, backend: Backend | None = None) -> Bound:
+    """Bind a prepared pair, its signs and its first R taken from the true maps."""
+    source, target, truth = pair
+    chosen = Reference() if backend is None else backend
+    count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
+    band = funnel_band(count, options.alignment)
+    one_sided = options.alignment.sides == "one"
+    start = closed_form_rotation(Reference(), source.descriptors, target.descriptors, truth, band, one_sided)
+    descriptors = source.descriptors.head(count, start.signs), target.descriptors.head(count)
+    return Bound(bind(source, target, descriptors, band, chosen, options), start.rotation, truth)
