@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from clalign.cli import bench_accuracy, bench_collection, bench_study
+from clalign.cli import bench_accuracy, bench_collection, bench_kernels, bench_pair, bench_scale, bench_study
 
-SUBCOMMANDS = (bench_accuracy, bench_study, bench_collection)
+SUBCOMMANDS = (bench_accuracy, bench_study, bench_collection, bench_kernels, bench_pair, bench_scale)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -1,0 +1,91 @@
+"""One match in a process of its own, for `performance_pair`.
+
+``python -m clalign.evaluation.pair_process REQUEST.json`` prints a JSON document with the seconds of the match, those of its stages and the most memory that the process held.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to match and how.
+
+    source, target : mesh files.
+    method : "clalign" or "pyfm".
+    options : nested plain values as of `Options.as_dict`; for "clalign".
+    cache : folder of the shape cache, or "" to compute everything.
+    map : ``.npy`` file for the target vertex of every source vertex, or "".
+    """
+
+    source: str
+    target: str
+    method: str
+    options: dict[str, Any]
+    cache: str = ""
+    map: str = ""
+
+
+def run(request: Request) -> dict[str, Any]:
+    """Match, and return "seconds", "stages", "device" and "peak" (bytes, or None)."""
+    start = time.perf_counter()
+    match = _clalign if request.method == "clalign" else _pyfm
+    target_of_source, stages, device = match(request)
+    seconds = time.perf_counter() - start
+    if request.map:
+        np.save(request.map, target_of_source)
+    return {"seconds": seconds, "stages": stages, "device": device, "peak": peak_memory()}
+
+
+def _clalign(request: Request) -> tuple[NDArray[np.int64], dict[str, float], str]:
+    from clalign.geometry.cache import ShapeCache
+    from clalign.matching import match
+    from clalign.options import Options
+
+    cache = ShapeCache(Path(request.cache)) if request.cache else None
+    result = match(request.source, request.target, Options.from_dict(request.options), cache=cache)
+    return result.target_of_source, result.timings, result.device
+
+
+def _pyfm(request: Request) -> tuple[NDArray[np.int64], dict[str, float], str]:
+    from clalign.evaluation.pairs import Problem
+    from clalign.evaluation.peers import PyfmMethod
+    from clalign.evaluation.truth import Truth
+    from clalign.geometry.mesh import load_mesh
+
+    start = time.perf_counter()
+    source, target = load_mesh(request.source), load_mesh(request.target)
+    read = time.perf_counter() - start
+    nothing = np.zeros(0, dtype=np.int64)
+    outcome = PyfmMethod()(Problem("pair", source, target, Truth(nothing, nothing), None))
+    return outcome.target_of_source, {"read": read, **outcome.stages}, f"numpy {np.__version__}"
+
+
+def peak_memory() -> int | None:
+    """Return the most bytes that this process has held at a time, or None where the system does not tell."""
+    status = Path("/proc/self/status")
+    if status.is_file():
+        # Unlike getrusage, this does not count what the parent held when it started the process.
+        for line in status.read_text(encoding="ascii").splitlines():
+            name, _, value = line.partition(":")
+            if name == "VmHWM":
+                return int(value.split()[0]) * 1024
+    try:
+        import resource
+    except ImportError:
+        return None
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return largest if sys.platform == "darwin" else largest * 1024
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(run(Request(**json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))))) + "\n")
