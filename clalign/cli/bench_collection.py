@@ -51,7 +51,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Make the runs and write the tables; 1 when maps differ between runs or a pair has none."""
-    from clalign.collection.bench import different_maps, error_rows, errors_table, run_one, times_table
+    from clalign.collection.bench import costs, different_maps, error_rows, errors_table, run_one, times_table
     from clalign.evaluation.table import update_file
     from clalign.options import Options
 
@@ -74,7 +74,10 @@ def run(args: argparse.Namespace) -> int:
             first = collection
         elif name not in ("star", "tree"):
             differing[name] = len(different_maps(first, collection))
-    text = f"{times_table(times, differing)}\n\n{errors_table(errors)}"
+    tables = [times_table(times, differing), errors_table(errors)]
+    if first is not None:
+        tables.append(costs(first).table())
+    text = "\n\n".join(tables)
     document = {
         "times": [asdict(entry) for entry in times],
         "errors": [asdict(entry) for entry in errors],

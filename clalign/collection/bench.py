@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
@@ -17,11 +19,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.collection.cluster import shared_out
+from clalign.collection.cluster import shared_out, wait_for_workers
+from clalign.collection.consistency import NETWORK_BYTES
+from clalign.collection.forecast import size_text
+from clalign.collection.members import DIGEST_LETTERS, Member
 from clalign.collection.result import Collection
-from clalign.collection.rows import PairRow
-from clalign.collection.run import Progress, match_collection
-from clalign.collection.store import PairMaps
+from clalign.collection.rows import PairRow, ShapeRow
+from clalign.collection.run import DEFAULT_LATENT, Progress, match_collection
+from clalign.collection.session import Settings
+from clalign.collection.store import CACHE_FOLDER, PairMaps
+from clalign.collection.work import EIGENVALUES, match_members
 from clalign.errors import ClalignError, OptionError
 from clalign.evaluation.errors import evaluate
 from clalign.evaluation.pairs import TruthFiles
@@ -153,7 +160,9 @@ def hand_started(workers: int) -> Iterator[str]:
             time.sleep(0.05)
         for _ in range(workers):
             start("dask_worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", folder)
-        yield str(json.loads(file.read_text(encoding="utf-8"))["address"])
+        address = str(json.loads(file.read_text(encoding="utf-8"))["address"])
+        wait_for_workers(address, workers)
+        yield address
 
 
 def different_maps(first: Collection, second: Collection) -> list[str]:
@@ -242,3 +251,86 @@ def errors_table(errors: Sequence[Errors]) -> str:
     """Return the table of errors."""
     head = "| maps | pairs | flipped | mean | median | worst |\n|---|---:|---:|---:|---:|---:|"
     return "\n".join([head, *(entry.text() for entry in errors)])
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What one shape and one pair cost, as measured; bytes and seconds.
+
+    Attributes
+    ----------
+    shape_seconds, shape_bytes : of preparing a shape, and of its entries in the cache.
+    pair_seconds, pair_bytes : of matching a pair, and of its folder.
+    loaded : prepared shapes that a worker fetched a pair.
+    messages : bytes of a task and its row between scheduler and worker.
+    worker_memory : of the largest worker at its peak.
+    """
+
+    shape_seconds: float
+    shape_bytes: float
+    pair_seconds: float
+    pair_bytes: float
+    loaded: float
+    messages: float
+    worker_memory: float
+
+    def table(self, pairs: float = 1e6, workers: int = 100) -> str:
+        """Return what so many pairs would cost, all of them matched."""
+        shapes = (1 + math.sqrt(1 + 8 * pairs)) / 2
+        network = min(NETWORK_BYTES, 8 * DEFAULT_LATENT**2 * pairs)
+        hours = (shapes * self.shape_seconds + pairs * self.pair_seconds) / workers / 3600
+        rows = [
+            ("shapes", "1", f"{shapes:.0f}"),
+            (
+                "work",
+                f"{self.shape_seconds:.2f} s a shape, {self.pair_seconds:.2f} s a pair",
+                f"{hours * workers:.0f} h",
+            ),
+            (f"time with {workers} workers", "", f"{hours:.1f} h"),
+            ("memory of a worker", size_text(self.worker_memory), size_text(self.worker_memory)),
+            ("memory of the network", size_text(8 * DEFAULT_LATENT**2), size_text(network)),
+            ("disk, prepared shapes", size_text(self.shape_bytes), size_text(shapes * self.shape_bytes)),
+            ("disk, pairs", size_text(self.pair_bytes), size_text(pairs * self.pair_bytes)),
+            ("traffic, tasks", size_text(self.messages), size_text(pairs * self.messages)),
+            (
+                "traffic, prepared shapes",
+                f"{self.loaded:.2f} a pair",
+                size_text(pairs * self.loaded * self.shape_bytes),
+            ),
+        ]
+        head = f"| what | one | {pairs:.0e} pairs |\n|---|---|---|"
+        return "\n".join([head, *(f"| {name} | {one} | {many} |" for name, one, many in rows)])
+
+
+def costs(collection: Collection) -> Costs:
+    """Return what the shapes and pairs of a collection did cost.
+
+    The seconds of a pair are the median, as the first pair of a worker may wait for kernels to be compiled.
+
+    Raises
+    ------
+    ClalignError
+        No pair was matched.
+    """
+    rows = [row for row in direct_rows(collection) if row.ok]
+    if not rows:
+        raise ClalignError(f"{collection.folder}: no pair was matched, so there is nothing to measure")
+    shapes = [row.seconds for row in collection.shapes if row.ok and row.seconds is not None]
+    sizes = [_folder_bytes(collection.store.pair_folder("pairs", row.source, row.target)) for row in rows]
+    member = Member(rows[0].source, str(collection.folder), DIGEST_LETTERS * "0", 0)
+    settings = Settings(str(collection.folder), Options(), str(collection.folder), 0, "maps", DEFAULT_LATENT)
+    prepared = ShapeRow(member.name, member.path, eigenvalues=(0.5,) * EIGENVALUES)
+    task = (match_members, member, member, (prepared, prepared), settings)
+    return Costs(
+        shape_seconds=float(np.mean(shapes)),
+        shape_bytes=_folder_bytes(collection.folder / CACHE_FOLDER) / max(len(shapes), 1),
+        pair_seconds=float(np.median([row.seconds or 0.0 for row in rows])),
+        pair_bytes=float(np.mean(sizes)),
+        loaded=float(np.mean([row.loaded or 0 for row in rows])),
+        messages=float(len(pickle.dumps(task)) + len(pickle.dumps(rows[0]))),
+        worker_memory=float(max(row.peak_memory or 0 for row in rows)),
+    )
+
+
+def _folder_bytes(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

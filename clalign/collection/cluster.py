@@ -138,6 +138,14 @@ def _check_workers(client: Client, folder: Path) -> None:
             )
 
 
+def wait_for_workers(scheduler: str, count: int) -> None:
+    """Wait until a scheduler has so many workers."""
+    import distributed
+
+    with distributed.Client(scheduler) as client:
+        client.wait_for_workers(count, timeout=WAIT_FOR_WORKERS)
+
+
 def _facts(folder: str) -> tuple[str, bool]:
     import clalign
 

@@ -20,6 +20,10 @@ WORSE = 1.5
 """A repaired map that distorts distances by this much more than the matched one is not taken."""
 
 
+NETWORK_BYTES = 4e9
+"""Maps of the network in memory at most; a larger set is joined over fewer functions."""
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What the network says of the pairs.
@@ -50,7 +54,11 @@ def judged(store: Store, names: Sequence[str], rows: Sequence[PairRow], *, wrong
     """
     number = {name: index for index, name in enumerate(names)}
     used = [index for index, row in enumerate(rows) if row.ok]
-    maps = [store.read_maps("pairs", rows[index].source, rows[index].target).functional_map for index in used]
+    size = max(2, int(np.sqrt(NETWORK_BYTES / (8 * max(len(used), 1)))))
+    maps = [
+        store.read_maps("pairs", rows[index].source, rows[index].target).functional_map[:size, :size].copy()
+        for index in used
+    ]
     size = min((len(functional) for functional in maps), default=1)
     edges = MapEdges(
         len(names),

@@ -39,17 +39,17 @@ def derived_correspondence(
         maps = coherent_steps(backend, *descriptors, maps, 2 * options.readout.steps)
     with clock.stage("closed form"):
         band = funnel_band(count, options.alignment)
-        closed = closed_form_rotation(backend, *descriptors, maps, band, options.alignment.sides == "one")
+        start = closed_form_rotation(backend, *descriptors, maps, band, options.alignment.sides == "one")
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
         target_of_source=_in_file_numbers(source.mesh, target.mesh, maps.target_of_source),
         source_of_target=_in_file_numbers(target.mesh, source.mesh, maps.source_of_target),
         functional_map=functional,
-        rotation=closed.start.rotation,
+        rotation=start.rotation,
         source_basis=source.basis.head(max(len(functional), options.spectrum.basis)),
         target_basis=target.basis.head(max(len(functional), options.spectrum.basis)),
-        source_descriptors=descriptors[0].head(count, closed.start.signs),
+        source_descriptors=descriptors[0].head(count, start.signs),
         target_descriptors=descriptors[1],
         history=(),
         losses={},

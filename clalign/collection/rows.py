@@ -34,6 +34,8 @@ class PairRow:
     total, align, unsup : losses at the kept point.
     seconds : of the work on this pair, all stages together.
     stages : "name=seconds" joined by ";".
+    loaded : prepared shapes of the pair that the worker had to fetch from the cache, or compute.
+    peak_memory : bytes of the worker process at its largest so far.
     warnings : joined by " | ".
     """
 
@@ -52,6 +54,8 @@ class PairRow:
     unsup: float | None = None
     seconds: float | None = None
     stages: str = ""
+    loaded: int | None = None
+    peak_memory: int | None = None
     warnings: str = ""
     device: str = ""
     worker: str = ""

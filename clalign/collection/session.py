@@ -18,7 +18,7 @@ from clalign.correspondence import Correspondence
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
 from clalign.geometry.cache import ShapeCache, default_folder
-from clalign.geometry.mesh import Mesh, load_mesh
+from clalign.geometry.mesh import load_mesh
 from clalign.geometry.shape import Shape, prepare
 from clalign.options import Options
 
@@ -65,13 +65,14 @@ class Settings:
 
 
 class Session:
-    """The state of one thread of a worker."""
+    """The state of one thread of a worker; `loaded` counts the shapes that were not in its memory."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._cache = ShapeCache(settings.cache, settings.cache_limit)
         self._backend: Backend | None = None
         self._shapes: OrderedDict[str, Shape] = OrderedDict()
+        self.loaded = 0
 
     @property
     def backend(self) -> Backend:
@@ -81,17 +82,14 @@ class Session:
             self._backend = open_backend(self.settings.options.engine)
         return self._backend
 
-    def mesh(self, member: Member) -> Mesh:
-        """Load the mesh of a member."""
-        return load_mesh(member.path)
-
     def shape(self, member: Member) -> Shape:
         """Return a prepared shape: from memory, else from the cache by the mesh's content, else computed."""
         held = self._shapes.pop(member.digest, None)
         if held is None:
             while len(self._shapes) >= HELD_SHAPES:
                 self._shapes.popitem(last=False)
-            held = prepare(self.mesh(member), self.settings.options, self._cache)
+            self.loaded += 1
+            held = prepare(load_mesh(member.path), self.settings.options, self._cache)
         self._shapes[member.digest] = held
         return held
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import socket
+import sys
 import time
 import warnings
 from collections.abc import Callable
@@ -27,6 +28,11 @@ from clalign.errors import ClalignError
 from clalign.evaluation.numbering import compact_of_file
 from clalign.geometry.mesh import Mesh
 from clalign.matching import match_shapes
+
+try:
+    import resource
+except ImportError:  # Windows: the peak is then not recorded
+    resource = None  # type: ignore[assignment]
 
 logger = logging.getLogger(__name__)
 
@@ -109,11 +115,17 @@ def _finished_pair(
         done = settings.store.finished(room, source.name, target.name, key)
         if done is not None:
             return done
+        loaded = session(settings).loaded
         with warnings.catch_warnings():
             # What there is to warn of is in the result and gets to the row.
             warnings.simplefilter("ignore")
             result = work()
-        row = replace(_row(source, target, kind, result), seconds=time.perf_counter() - started)
+        row = replace(
+            _row(source, target, kind, result),
+            seconds=time.perf_counter() - started,
+            loaded=session(settings).loaded - loaded,
+            peak_memory=_peak_memory(),
+        )
         maps = pair_maps(result, settings.latent)
         settings.store.write_pair(room, row, key, maps, lambda folder: _extras(result, folder, settings))
         return row
@@ -173,6 +185,13 @@ def _extras(result: Correspondence, folder: Path, settings: Settings) -> None:
         result.save(folder / RESULT_FOLDER)
     if settings.pages is not None:
         settings.pages(result, folder)
+
+
+def _peak_memory() -> int | None:
+    if resource is None:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def _here() -> str:
