@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from clalign.alignment.funnel import funnel_band
 from clalign.alignment.maps import PointMaps
 from clalign.alignment.problem import AlignmentProblem, Evaluation
 from clalign.alignment.refine import (
-    ClosedForm,
     closed_form_rotation,
     coherent_steps,
     up_sampled,
@@ -23,7 +22,7 @@ from clalign.alignment.refine import (
     wavelet_steps,
 )
 from clalign.alignment.rotation import StartingRotation, random_rotation
-from clalign.alignment.rounds import AlignedRotation, optimise_rotation, read_out
+from clalign.alignment.rounds import AlignedRotation, optimise_rotation
 from clalign.alignment.search import SearchResult, find_isometry
 from clalign.alignment.views import aligned_side, sampled_factors
 from clalign.engine.backend import Backend, Band
@@ -32,6 +31,9 @@ from clalign.geometry.spectra import Spectrum
 from clalign.options import Options
 
 Progress = Callable[[str, float, str], None]
+
+COARSE_DESCRIPTORS = 200
+"""Functions of the closed-form steps before the alignment; more cost more and were not better."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,8 @@ def align_pair(source: Shape, target: Shape, backend: Backend, options: Options,
     """
     count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
     band = funnel_band(count, options.alignment)
-    found, closed, rivals = None, None, ()
+    found: SearchResult | None = None
+    rivals: tuple[PointMaps, ...] = ()
     if options.search.method == "random":
         start = StartingRotation(np.ones(count), random_rotation(count, options.seed))
     else:
@@ -106,12 +109,11 @@ def align_pair(source: Shape, target: Shape, backend: Backend, options: Options,
                 for rival in found.rivals[: options.search.alternatives]
             )
         with clock.stage("closed form"):
-            closed = _closed_form(backend, source, target, maps, band, options)
-        start = closed.start
+            start = _closed_form(backend, source, target, maps, band, options)
     descriptors = source.descriptors.head(count, start.signs), target.descriptors.head(count)
     with clock.stage("alignment") as report:
         problem = bind(source, target, descriptors, band, backend, options)
-        alignment = _optimised(problem, start, closed, options, report)
+        alignment = _optimised(problem, start, options, report)
         functional = problem.functional_map(alignment.rotation)
     maps = alignment.maps
     if options.readout.steps:
@@ -156,9 +158,12 @@ def bind(
 
 def _closed_form(
     backend: Backend, source: Shape, target: Shape, maps: PointMaps, band: Band, options: Options
-) -> ClosedForm:
-    """Return R from the maps after two closed-form steps in the scale-invariant basis."""
-    maps = coherent_steps(backend, source.descriptors, target.descriptors, maps, options.readout.steps)
+) -> StartingRotation:
+    """Return R from the maps after closed-form steps among the lower scale-invariant eigenfunctions."""
+    coarse = max(min(COARSE_DESCRIPTORS, band.size), band.size // 2)
+    maps = coherent_steps(
+        backend, source.descriptors.head(coarse), target.descriptors.head(coarse), maps, options.readout.steps
+    )
     one_sided = options.alignment.sides == "one"
     return closed_form_rotation(backend, source.descriptors, target.descriptors, maps, band, one_sided)
 
@@ -166,7 +171,6 @@ def _closed_form(
 def _optimised(
     problem: AlignmentProblem,
     start: StartingRotation,
-    closed: ClosedForm | None,
     options: Options,
     report: Callable[[float, str], None],
 ) -> AlignedRotation:
@@ -178,7 +182,4 @@ def _optimised(
         done += 1
         report(min(done / budget, 1.0), f"round {number + 1}, loss {evaluation.total:.5f}")
 
-    alignment = optimise_rotation(problem, start.rotation, options.readout.readout, watch)
-    if closed is None or alignment.history:
-        return alignment
-    return replace(alignment, maps=read_out(problem, start.rotation, options.readout.readout))
+    return optimise_rotation(problem, start.rotation, options.readout.readout, watch)

@@ -30,11 +30,13 @@ class Round:
 
     Attributes
     ----------
+    target_of_source : (n_x,) the hard map π.
     gram_source, gram_target, gram_cross : (d, d) on the backend, Φ̃ᵀAΦ̃, Ψ̃_πᵀAΨ̃_π and Φ̃ᵀAΨ̃_π.
     denominator : of l_align; 0 differentiates it instead of freezing it.
     weight : λ.
     """
 
+    target_of_source: NDArray[np.int64]
     gram_source: Any
     gram_target: Any
     gram_cross: Any
@@ -113,6 +115,7 @@ class AlignmentProblem:
         self._projection_x, self._projection_y = array(source.projection), array(target.projection)
         self._descriptors_x, self._descriptors_y = array(source.descriptors), array(target.descriptors)
         self._mass_x = array(source.loss_weights)
+        self._gram_source = backend.weighted_gram(self._descriptors_x, self._descriptors_x, self._mass_x)
         self._identity = array(np.eye(band.size))
         self._bind_distances()
 
@@ -142,14 +145,14 @@ class AlignmentProblem:
         backend = self.backend
         carried = backend.gather(self._descriptors_y, backend.array(target_of_source.astype(np.int32)))
         grams = (
-            backend.weighted_gram(self._descriptors_x, self._descriptors_x, self._mass_x),
+            self._gram_source,
             backend.weighted_gram(carried, carried, self._mass_x),
             backend.weighted_gram(self._descriptors_x, carried, self._mass_x),
         )
         if self.options.denominator == "differentiated":
-            return Round(*grams, denominator=0.0, weight=weight)
+            return Round(target_of_source, *grams, denominator=0.0, weight=weight)
         _, denominator, _, _ = backend.alignment(backend.array(rotation), *grams, self._one_sided)
-        return Round(*grams, denominator=float(denominator), weight=weight)
+        return Round(target_of_source, *grams, denominator=float(denominator), weight=weight)
 
     def pack(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the entries of (d, d) `rotation` inside the band, as the optimiser's vector."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,20 +23,6 @@ from clalign.geometry.spectra import Spectrum
 
 UP_SAMPLING_STEP = 10
 UP_SAMPLING_QUERIES = 1000
-
-
-@dataclass(frozen=True)
-class ClosedForm:
-    """R from closed-form steps, with the maps that it reads out.
-
-    Attributes
-    ----------
-    start : signs and R.
-    maps : nearest neighbours among the eigenfunctions aligned by R.
-    """
-
-    start: StartingRotation
-    maps: PointMaps
 
 
 def up_sampled(
@@ -87,20 +71,15 @@ def wavelet_steps(backend: Backend, source: Shape, target: Shape, maps: PointMap
 
 def closed_form_rotation(
     backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps, band: Band, one_sided: bool
-) -> ClosedForm:
+) -> StartingRotation:
     """Return the R that explains `maps` best, by two-way least squares, projection and square root (no losses).
 
     Parameters
     ----------
-    source, target : scale-invariant eigenfunctions, as many as `band` has rows.
+    source, target : scale-invariant eigenfunctions, at least as many as `band` has rows.
     """
     functional = two_way_functional_map(backend, source, target, maps, band.size)
-    start = starting_rotation(functional, band_mask(band), one_sided=one_sided)
-    aligned = source.functions[:, : band.size] * start.signs @ start.rotation
-    turned = target.functions[:, : band.size]
-    if not one_sided:
-        turned = turned @ start.rotation.T
-    return ClosedForm(start, point_maps(backend, aligned, turned))
+    return starting_rotation(functional, band_mask(band), one_sided=one_sided)
 
 
 def coherent_steps(backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps, steps: int) -> PointMaps:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.maps import PointMaps, argmax_map, functional_point_maps, point_maps
+from clalign.alignment.maps import PointMaps, argmax_map, nearest_rows
 from clalign.alignment.optimise import Status, minimise
-from clalign.alignment.problem import AlignmentProblem, Evaluation
-from clalign.alignment.views import AlignedSide
-from clalign.engine.backend import Backend
-from clalign.options import AlignmentOptions, Readout
+from clalign.alignment.problem import AlignmentProblem, Evaluation, Round
+from clalign.options import Readout
 
 LOG = logging.getLogger(__name__)
 
@@ -39,30 +37,42 @@ class AlignedRotation:
     status: Status
 
 
-def read_out(problem: AlignmentProblem, rotation: NDArray[np.float64], readout: Readout) -> PointMaps:
-    """Return the point maps of R: "aligned", "functional" (nearest neighbours) or "argmax" (Eq. 28)."""
+def embeddings(
+    problem: AlignmentProblem, rotation: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return Φ̃ R and Ψ̃ Rᵀ (one-sided: Φ̃ C̃ and Ψ̃)."""
+    source, target = problem.source.descriptors, problem.target.descriptors
+    return source @ rotation, target if problem.options.sides == "one" else target @ rotation.T
+
+
+def hard_map(problem: AlignmentProblem, rotation: NDArray[np.float64], readout: Readout) -> NDArray[np.int64]:
+    """Return target_of_source (n_x,) of R: nearest neighbours ("aligned", "functional") or Eq. 28 ("argmax")."""
     source, target, backend = problem.source, problem.target, problem.backend
     if readout == "aligned":
-        return aligned_maps(source, target, backend, rotation, problem.options)
+        return nearest_rows(backend, *embeddings(problem, rotation))
     functional = problem.functional_map(rotation)
-    maps = functional_point_maps(backend, functional, source.basis, target.basis)
     if readout == "functional":
-        return maps
-    chosen = argmax_map(backend, functional, source.basis, target.basis, target.soft_weights)
-    return PointMaps(chosen, maps.source_of_target)
+        return nearest_rows(backend, source.basis, target.basis @ functional)
+    return argmax_map(backend, functional, source.basis, target.basis, target.soft_weights)
 
 
-def aligned_maps(
-    source: AlignedSide,
-    target: AlignedSide,
-    backend: Backend,
+def read_out(
+    problem: AlignmentProblem,
     rotation: NDArray[np.float64],
-    options: AlignmentOptions,
+    readout: Readout,
+    target_of_source: NDArray[np.int64] | None = None,
 ) -> PointMaps:
-    """Return nearest neighbours between Φ̃ R and Ψ̃ Rᵀ (one-sided: Φ̃ C̃ and Ψ̃)."""
-    if options.sides == "one":
-        return point_maps(backend, source.descriptors @ rotation, target.descriptors)
-    return point_maps(backend, source.descriptors @ rotation, target.descriptors @ rotation.T)
+    """Return both maps of R; `target_of_source` is taken as it is where it is known already.
+
+    The reverse of Eq. 28, which the paper does not define, is the nearest neighbour in functional-map space.
+    """
+    source, target, backend = problem.source, problem.target, problem.backend
+    forward = hard_map(problem, rotation, readout) if target_of_source is None else target_of_source
+    if readout == "aligned":
+        turned_source, turned_target = embeddings(problem, rotation)
+        return PointMaps(forward, nearest_rows(backend, turned_target, turned_source))
+    pulled = target.basis @ problem.functional_map(rotation)
+    return PointMaps(forward, nearest_rows(backend, pulled, source.basis))
 
 
 def optimise_rotation(
@@ -84,13 +94,13 @@ def optimise_rotation(
     progress : called after every evaluation with the round.
     """
     options = problem.options
-    rotation, maps = start, read_out(problem, start, readout)
+    rotation = start
+    frozen = problem.start_round(start, hard_map(problem, start, readout), options.weight)
     history: list[dict[str, float]] = []
     status: Status = "budget"
-    weight = options.weight
     for number in range(options.rounds):
         try:
-            ended = _round(problem, rotation, maps, weight, readout, _recorded(number, history, progress))
+            ended = _round(problem, rotation, frozen, readout, _recorded(number, history, progress))
         except KeyboardInterrupt:
             # Between the evaluations of a round nothing better is at hand than the round before.
             status = "interrupted"
@@ -100,21 +110,21 @@ def optimise_rotation(
         if not ended.after < ended.before:
             status = "interrupted" if status == "interrupted" else "converged"
             break
-        rotation, maps = ended.rotation, ended.maps
+        rotation, frozen = ended.rotation, ended.frozen
         if status in ("interrupted", "failed"):
             break
-        weight *= options.decay
-    final = problem.start_round(rotation, maps.target_of_source, weight)
-    last = problem.value_and_gradient(problem.pack(rotation), final)
+        frozen = replace(frozen, weight=frozen.weight * options.decay)
+    last = problem.value_and_gradient(problem.pack(rotation), frozen)
+    maps = read_out(problem, rotation, readout, frozen.target_of_source)
     return AlignedRotation(rotation, maps, tuple(history), {"total": last.total, **last.terms}, status)
 
 
 @dataclass(frozen=True)
 class _Ended:
-    """What a round came to: R and its maps, and the objective before and after it, each with its own hard map."""
+    """What a round came to: R, what it froze for the next, and the objective before and after with its own hard map."""
 
     rotation: NDArray[np.float64]
-    maps: PointMaps
+    frozen: Round
     before: float
     after: float
     status: Status
@@ -123,12 +133,10 @@ class _Ended:
 def _round(
     problem: AlignmentProblem,
     rotation: NDArray[np.float64],
-    maps: PointMaps,
-    weight: float,
+    frozen: Round,
     readout: Readout,
     record: Callable[[Evaluation], None],
 ) -> _Ended:
-    frozen = problem.start_round(rotation, maps.target_of_source, weight)
     before = problem.value_and_gradient(problem.pack(rotation), frozen)
 
     def objective(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
@@ -139,10 +147,9 @@ def _round(
     options = problem.options
     minimum = minimise(objective, problem.pack(rotation), options.iterations, options.tolerance)
     candidate = problem.unpack(minimum.x)
-    candidate_maps = read_out(problem, candidate, readout)
-    refreshed = problem.start_round(candidate, candidate_maps.target_of_source, weight)
+    refreshed = problem.start_round(candidate, hard_map(problem, candidate, readout), frozen.weight)
     after = problem.value_and_gradient(problem.pack(candidate), refreshed)
-    return _Ended(candidate, candidate_maps, before.total, after.total, minimum.status)
+    return _Ended(candidate, refreshed, before.total, after.total, minimum.status)
 
 
 def _recorded(
