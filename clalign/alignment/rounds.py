@@ -108,7 +108,7 @@ def optimise_rotation(
         LOG.info("round %d: %.6g -> %.6g (%s)", number, ended.before, ended.after, ended.status)
         status = ended.status
         if not ended.after < ended.before:
-            status = "interrupted" if status == "interrupted" else "converged"
+            status = status if status in ("interrupted", "failed") else "converged"
             break
         rotation, frozen = ended.rotation, ended.frozen
         if status in ("interrupted", "failed"):
