@@ -91,7 +91,9 @@ class GeodesicOptions:
     dense_below: int = 1500
 
     def __post_init__(self) -> None:
-        _positive("geodesics", self, "factor_samples", "search_samples")
+        for name in ("factor_samples", "search_samples"):
+            value = getattr(self, name)
+            _require(value >= 2, f"geodesics.{name} must be at least 2, got {value!r}")
         _not_negative("geodesics", self, "dense_below")
 
 
