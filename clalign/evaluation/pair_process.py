@@ -1,6 +1,7 @@
 """One match in a process of its own, for `performance_pair`.
 
-``python -m clalign.evaluation.pair_process REQUEST.json`` prints a JSON document with the seconds of the match, those of its stages and the most memory that the process held.
+``python -m clalign.evaluation.pair_process REQUEST.json`` prints a JSON document with the seconds of the match, those
+of its stages and the most memory that the process held.
 """
 
 from __future__ import annotations

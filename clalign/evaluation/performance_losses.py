@@ -199,7 +199,7 @@ def dense_evaluation(
     spread = distances_y @ soft
     excess = soft.T @ spread
     excess -= distances_x
-    scale = np.float32(1.0 / len(basis_x) ** 2)
+    scale = 1.0 / len(basis_x) ** 2
     value = float(scale * np.vdot(excess, excess))
     slope = spread @ excess
     slope *= 4 * scale

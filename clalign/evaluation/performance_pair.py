@@ -151,7 +151,7 @@ def measure_scale(
     """
     times = []
     with _empty_driver_caches() as environment:
-        _generated_match(WARM_UP_VERTICES, options, seed, environment)
+        _generated_match(min(WARM_UP_VERTICES, *sizes), options, seed, environment)
         for size in sizes:
             found = _generated_match(size, options, seed, environment)
             times.append(found)
