@@ -84,7 +84,7 @@ def _local_cluster(workers: int) -> Iterator[LocalCluster]:
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # any free port: two collections may run side by side
             silence_logs=logging.CRITICAL,
         ) as cluster,
     ):

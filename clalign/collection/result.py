@@ -6,6 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.collection.network import Network
 from clalign.collection.rows import PairRow, ShapeRow, read_rows
 from clalign.collection.store import PairMaps, Store
 from clalign.errors import ResultError
@@ -66,6 +70,30 @@ class Collection:
             raise ResultError(f"{self.folder}: {source} {target} has no map: {row.message}")
         found = self.store.final_maps(row)
         return found if row.source == source else found.reversed()
+
+    def functional_map(self, source: str, target: str) -> NDArray[np.float64]:
+        """Return the network's (L, L) map, which agrees with those of all other pairs around every cycle.
+
+        Takes coefficients in the first L LBO functions of the source to those of the target; orthogonal.
+
+        Raises
+        ------
+        ResultError
+            There is no network, no such shape, or no chain of pairs between the two.
+        """
+        names, network = self._network
+        for name in (source, target):
+            if name not in names:
+                raise ResultError(f"{self.folder}: there is no shape {name!r} in the network")
+        try:
+            return network.functional(names[source], names[target])
+        except ValueError as error:
+            raise ResultError(f"{self.folder}: no chain of pairs joins {source} and {target}") from error
+
+    @cached_property
+    def _network(self) -> tuple[dict[str, int], Network]:
+        names, network = self.store.read_network()
+        return {name: index for index, name in enumerate(names)}, network
 
     @cached_property
     def _rows(self) -> dict[frozenset[str], PairRow]:

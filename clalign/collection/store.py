@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -223,12 +223,35 @@ class Store:
         """Read the maps of a row that is "ok"."""
         return self.read_maps("pairs" if row.kind == "direct" else "consistent", row.source, row.target)
 
-    def write_network(self, names: tuple[str, ...], network: Network) -> None:
-        """Write ``network.npz``: names, frames and components."""
+    def write_network(self, names: Sequence[str], network: Network) -> None:
+        """Write ``network.npz``."""
         unfinished = self.folder / f".{NETWORK_FILE}.{os.getpid()}"
         with unfinished.open("wb") as stream:
-            np.savez(stream, names=np.array(names), frames=network.frames, component=network.component)
+            np.savez(
+                stream,
+                names=np.array(names),
+                frames=network.frames,
+                component=network.component,
+                residuals=network.residuals,
+                weights=network.weights,
+            )
         os.replace(unfinished, self.folder / NETWORK_FILE)
+
+    def read_network(self) -> tuple[list[str], Network]:
+        """Return the names of the shapes and their network.
+
+        Raises
+        ------
+        ResultError
+            There is none, or it is damaged.
+        """
+        path = self.folder / NETWORK_FILE
+        try:
+            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+                fields = ("frames", "component", "residuals", "weights")
+                return stored["names"].tolist(), Network(*(stored[name] for name in fields))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise ResultError(f"{path}: cannot be read ({error}); match with --consistency repair") from error
 
 
 def merged(direct: PairRow, repaired: PairRow) -> PairRow:

@@ -141,6 +141,10 @@ def test_star_gives_all_maps_and_a_wrong_one_is_repaired(
         names = row.source, row.target
         assert mean_error(star.maps(*names).target_of_source, folder, names, numbers) < 0.1
         assert mean_error(star.maps(*names[::-1]).target_of_source, folder, names[::-1], numbers) < 0.1
+    around = star.functional_map("s2", "s0") @ star.functional_map("s1", "s2") @ star.functional_map("s0", "s1")
+    np.testing.assert_allclose(around, np.eye(20), atol=1e-12)
+    with pytest.raises(ResultError, match="no shape 's9'"):
+        star.functional_map("s0", "s9")
     spoil(whole, "s0", "s3")
     repaired = match_collection(shapes, whole.folder, OPTIONS, workers=1, resume=True, latent=20)
     rows = {(row.source, row.target): row for row in repaired.pairs}

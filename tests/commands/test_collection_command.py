@@ -1,0 +1,105 @@
+"""``clalign collection`` and ``clalign bench collection`` on small shapes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from collections_small import ARGUMENTS, CHANGES, write_shapes
+
+from clalign.cli.main import main
+from clalign.collection.bench import Costs, Errors, RunTimes, errors_table, times_table
+from clalign.correspondence import Correspondence
+
+pytest.importorskip("distributed")
+
+
+def test_collection_writes_pages_and_whole_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_shapes(tmp_path / "shapes", 2)
+    out = tmp_path / "out"
+    command = ["collection", str(tmp_path / "shapes"), "--out", str(out), "--workers", "1", "--keep", "full", "--json"]
+    assert main([*command, "--quiet", *ARGUMENTS]) == 0
+    shown = capsys.readouterr()
+    document = json.loads(shown.out)
+    assert document["pairs"] == {"direct": 1, "repaired": 0, "derived": 0, "without": 0}
+    assert shown.err == ""
+    pair = out / "pairs" / "s0" / "s1"
+    page = (out / "index.html").read_text(encoding="utf-8")
+    assert 'href="pairs/s0/s1/report.html"' in page
+    assert (pair / "report.html").stat().st_size > 100_000
+    result = Correspondence.load(pair / "result")
+    with np.load(pair / "maps.npz") as maps:
+        np.testing.assert_array_equal(maps["target_of_source"], result.target_of_source)
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        (["--no-cache"], "--cache FOLDER puts them elsewhere"),
+        (["--keep", "half"], "keep is 'maps' or 'full'"),
+        (["--pairs", "some"], "cannot read the pairs"),
+        (["--workers", "0"], "workers at least 1"),
+        (["--set", "nonsense=1"], "nonsense"),
+    ],
+)
+def test_wrong_use_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], extra: list[str], message: str
+) -> None:
+    write_shapes(tmp_path / "shapes", 2)
+    assert main(["collection", str(tmp_path / "shapes"), "--out", str(tmp_path / "out"), *extra]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_bench_measures_before_and_after(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All pairs of three shapes against a star of them, with truth beside the meshes; the tables go into a file."""
+    folder = tmp_path / "shapes"
+    for name, numbers in write_shapes(folder, 3).items():
+        np.savetxt(folder / f"{name}.truth.txt", numbers, fmt="%d")
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- table:collection -->\nold\n<!-- /table:collection -->\nafter\n")
+    changes = [part for name, value in CHANGES.items() for part in ("--set", f"{name}={value}")]
+    command = [
+        "bench",
+        "collection",
+        str(folder),
+        "--out",
+        str(tmp_path / "out"),
+        "--runs",
+        "two,star",
+        "--points",
+        "50",
+    ]
+    assert main([*command, "--preset", "fast", "--update", str(page), "--quiet", "--json", *changes]) == 0
+    document = json.loads(capsys.readouterr().out)
+    counts = [(entry["maps"], len(entry["means"])) for entry in document["errors"]]
+    assert counts == [("two, as matched", 3), ("two, consistent", 3), ("star, as matched", 2), ("star, consistent", 3)]
+    assert all(mean < 0.1 for entry in document["errors"] for mean in entry["means"])
+    assert all(entry["wall"] > 0 for entry in document["times"])
+    text = page.read_text()
+    assert "| star, consistent | 3 | not known |" in text
+    assert "traffic, prepared shapes" in text
+    assert "old" not in text
+
+
+def test_tables() -> None:
+    times = [RunTimes("one", 1, 100.0, 10.0, 80.0, 0.0), RunTimes("two", 2, None, 10.0, 80.0, 1.0)]
+    lines = times_table(times, {"two": 0}).splitlines()
+    assert lines[2] == "| one | 1 | 100 | 10 | 80 | 0 | 90% |  |"
+    assert lines[3] == "| two | 2 | resumed | 10 | 80 | 1 |  | 0 |"
+    assert errors_table([Errors("m", (0.01, 0.03), 1)]).splitlines()[-1] == "| m | 2 | 1 | 2.000 | 2.000 | 3.000 |"
+
+
+def test_costs_of_many_pairs_are_those_of_one_times_their_number() -> None:
+    one = Costs(2.0, 30e6, 9.0, 70e3, 1.5, 4e3, 1e9)
+    table = one.table(pairs=499_500, workers=10)
+    assert "| shapes | 1 | 1000 |" in table
+    assert f"| {(1000 * 2 + 499_500 * 9) / 36000:.1f} h |" in table
+    assert "| disk, prepared shapes | 30 MB | 30 GB |" in table
+    assert "| traffic, tasks | 4 kB | 2 GB |" in table
+    assert "| traffic, prepared shapes | 1.50 a pair | 22.5 TB |" in table
+    assert "| memory of the network | 28.8 kB | 4 GB |" in table
