@@ -130,8 +130,10 @@ PICTURE_BYTES = 850 * 2**20
 """Drawing ``match.png`` and the page, beside what the result itself takes."""
 FILL = 40.0
 """Entries of a sparse factor per vertex and unit of log2(vertices) / 10."""
-SLACK = 2.3
-"""Peak over the sum of the arrays: temporaries of numpy, and what the allocator keeps of arrays that are gone."""
+RETAINED = 1.3
+"""Temporaries of numpy and what the allocator keeps of arrays that are gone, as a share of the arrays, ..."""
+MOST_RETAINED = 350 * 2**20
+"""... and at most: memory of large arrays goes back to the system at once."""
 
 RATES: Mapping[str, float] = {
     "eigensolver": 4e9,
@@ -195,9 +197,10 @@ def _host_bytes(size: Sizes) -> dict[str, int]:
     # Descriptors with signs, the contiguous part of the basis, and two products that are read out.
     aligned = _DOUBLE * size.both * (2 * size.descriptors + size.basis + 2 * size.rank) + kept
     # The page and the arrays in single precision, while the result is still there.
-    saved = kept + _INDEX * size.both * (size.basis + size.descriptors) + PICTURE_BYTES / SLACK
+    saved = kept + _INDEX * size.both * (size.basis + size.descriptors)
     stages = {"preparation": prepare, "alignment": aligned, RESULT: saved}
-    return {stage: int(BASE_BYTES + SLACK * bytes_) for stage, bytes_ in stages.items()}
+    peaks = {stage: int(BASE_BYTES + held + min(RETAINED * held, MOST_RETAINED)) for stage, held in stages.items()}
+    return peaks | {RESULT: peaks[RESULT] + PICTURE_BYTES}
 
 
 def _device_bytes(size: Sizes, real: int) -> dict[str, int]:

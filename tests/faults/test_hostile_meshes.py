@@ -19,7 +19,7 @@ from clalign.errors import ConfidenceWarning
 from clalign.options import Options
 
 CASES = malformed.case_names()
-PROCESSES = ["NaN", "Möbius strip", "truncated-binary.ply", "noise.stl", "ünïcode – 形 😀.off"]
+PROCESSES = ["Möbius strip", "truncated-binary.ply", "ünïcode – 形 😀.off"]
 
 
 @pytest.fixture(scope="module")
