@@ -1,0 +1,128 @@
+"""Rounds of L-BFGS between refreshed hard maps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import pytest
+from prepared import Bound
+
+from clalign.alignment.problem import AlignmentProblem, Evaluation
+from clalign.alignment.rounds import optimise_rotation, read_out
+
+ROUNDS = {"alignment.rounds": 4, "alignment.iterations": 12, "alignment.decay": 1.0}
+
+
+def objective(problem: AlignmentProblem, rotation: Any, readout: Any = "aligned") -> float:
+    """Return the objective of R with its own hard map, at the first round's weight."""
+    frozen = problem.start_round(
+        rotation, read_out(problem, rotation, readout).target_of_source, problem.options.weight
+    )
+    return problem.value_and_gradient(problem.pack(rotation), frozen).total
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"alignment.cycle": True}, {"alignment.sides": "one"}, {"alignment.denominator": "frozen"}],
+    ids=["plain", "cycle", "one-sided", "frozen"],
+)
+def test_no_round_ends_above_its_start(
+    bind_small: Callable[..., Bound], rng: np.random.Generator, changes: dict[str, Any]
+) -> None:
+    problem, rotation, _ = bind_small({**ROUNDS, **changes})
+    start = problem.unpack(problem.pack(rotation) + 0.03 * rng.normal(size=problem.band.count))
+    found = optimise_rotation(problem, start, "aligned")
+    assert found.losses["total"] < objective(problem, start)
+    assert objective(problem, found.rotation) == pytest.approx(found.losses["total"], rel=1e-9)
+    totals = {
+        number: [entry["total"] for entry in entries]
+        for number, entries in groupby(found.history, key=lambda entry: entry["round"])
+    }
+    assert list(totals) == list(range(len(totals)))
+    assert all(min(values) <= values[0] for values in totals.values())
+    # Each round starts where the one before it ended, and that is lower.
+    firsts = [values[0] for values in totals.values()]
+    assert firsts == sorted(firsts, reverse=True)
+    assert [entry["evaluation"] for entry in found.history] == list(range(len(found.history)))
+
+
+def test_the_map_is_that_of_the_rotation(bind_small: Callable[..., Bound]) -> None:
+    problem, rotation, _ = bind_small(ROUNDS)
+    for readout in ("aligned", "functional", "argmax"):
+        found = optimise_rotation(problem, rotation, readout)
+        expected = read_out(problem, found.rotation, readout)
+        np.testing.assert_array_equal(found.maps.target_of_source, expected.target_of_source)
+        np.testing.assert_array_equal(found.maps.source_of_target, expected.source_of_target)
+
+
+def test_a_round_that_gains_nothing_is_undone(
+    bind_small: Callable[..., Bound], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An objective with a false slope cannot fall, so the start stays as it was."""
+    problem, rotation, _ = bind_small(ROUNDS)
+    plain = problem.value_and_gradient
+
+    def uphill(x: Any, frozen: Any) -> Evaluation:
+        evaluation = plain(x, frozen)
+        return Evaluation(evaluation.total, evaluation.terms, -evaluation.gradient)
+
+    monkeypatch.setattr(problem, "value_and_gradient", uphill)
+    found = optimise_rotation(problem, rotation, "aligned")
+    assert found.losses["total"] <= objective(problem, rotation) * (1 + 1e-12)
+
+
+def test_weight_falls_from_round_to_round(bind_small: Callable[..., Bound], rng: np.random.Generator) -> None:
+    problem, rotation, _ = bind_small({**ROUNDS, "alignment.decay": 0.1})
+    start = problem.unpack(problem.pack(rotation) + 0.03 * rng.normal(size=problem.band.count))
+    found = optimise_rotation(problem, start, "aligned")
+    weights = {}
+    for entry in found.history:
+        weights[entry["round"]] = (entry["total"] - entry["align"]) / entry["unsup"]
+    assert len(weights) > 1
+    for number, weight in weights.items():
+        assert weight == pytest.approx(200.0 * 0.1**number, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"alignment.rounds": 0}, {"alignment.iterations": 0}], ids=["rounds", "iterations"]
+)
+def test_without_optimisation_the_start_stays(bind_small: Callable[..., Bound], changes: dict[str, Any]) -> None:
+    problem, rotation, _ = bind_small({**ROUNDS, **changes})
+    found = optimise_rotation(problem, rotation, "aligned")
+    np.testing.assert_array_equal(found.rotation, rotation)
+    assert found.losses["total"] == pytest.approx(objective(problem, rotation), rel=1e-12)
+
+
+def test_an_interrupt_keeps_the_best_so_far(bind_small: Callable[..., Bound], rng: np.random.Generator) -> None:
+    problem, rotation, _ = bind_small(ROUNDS)
+    start = problem.unpack(problem.pack(rotation) + 0.03 * rng.normal(size=problem.band.count))
+    seen: list[float] = []
+
+    def stop(number: int, evaluation: Evaluation) -> None:
+        seen.append(evaluation.total)
+        if len(seen) == 9:
+            raise KeyboardInterrupt
+
+    found = optimise_rotation(problem, start, "aligned", stop)
+    assert found.status == "interrupted"
+    assert len(found.history) == 9
+    assert found.losses["total"] < seen[0]
+
+
+def test_an_objective_that_is_never_finite_keeps_the_start(
+    bind_small: Callable[..., Bound], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, rotation, _ = bind_small(ROUNDS)
+    plain = problem.value_and_gradient
+
+    def broken(x: Any, frozen: Any) -> Evaluation:
+        evaluation = plain(x, frozen)
+        return Evaluation(float("nan"), evaluation.terms, np.full_like(evaluation.gradient, np.nan))
+
+    monkeypatch.setattr(problem, "value_and_gradient", broken)
+    found = optimise_rotation(problem, rotation, "aligned")
+    np.testing.assert_array_equal(found.rotation, rotation)
+    assert found.status == "failed"
