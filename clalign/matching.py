@@ -21,6 +21,7 @@ from clalign.errors import ClalignWarning, ConfidenceWarning
 from clalign.geometry.cache import ShapeCache
 from clalign.geometry.mesh import Mesh, as_mesh
 from clalign.geometry.shape import Shape, prepare_pair
+from clalign.geometry.workers import single_threaded_blas
 from clalign.options import Options
 
 LOG = logging.getLogger(__name__)
@@ -73,9 +74,13 @@ def match(
 def match_shapes(
     source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock | None = None
 ) -> Correspondence:
-    """Match two prepared shapes on an open backend; see `match`."""
+    """Match two prepared shapes on an open backend; see `match`.
+
+    The host's small factorisations run on one thread: threads of BLAS that wait for work and threads of a CPU device
+    would take the cores from each other.
+    """
     clock = Clock() if clock is None else clock
-    with np.errstate(over="ignore", under="ignore"):
+    with single_threaded_blas(), np.errstate(over="ignore", under="ignore"):
         pair = align_pair(source, target, backend, options, clock)
     return _correspondence(source, target, pair, backend, options)
 
