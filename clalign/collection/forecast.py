@@ -15,8 +15,8 @@ from clalign.errors import MemoryBudgetError, MeshError, ResultError
 from clalign.geometry.mesh import load_mesh
 from clalign.options import Options
 
-DASK_BYTES = 100e6
-"""Of a worker process, beside what a match takes."""
+DASK_BYTES = 250e6
+"""Of a worker process, beside what a single match takes: Dask, and what the allocator keeps from earlier pairs."""
 
 PAGE_BYTES, PAGE_BYTES_PER_VERTEX = 1.1e6, 45.0
 """Of a pair's page: library and picture, then positions, faces, maps and a few functions of both shapes."""
@@ -44,8 +44,8 @@ class Forecast:
     def text(self, workers: int) -> str:
         """Return one line for people."""
         return (
-            f"at most {size_text(self.worker)} of memory in each of {workers} worker{'s' if workers > 1 else ''}, "
-            f"{size_text(self.cache)} of disk for the prepared shapes and {size_text(self.pairs)} for the pairs"
+            f"about {size_text(self.worker)} of memory in each of {workers} worker{'s' if workers > 1 else ''}, "
+            f"at most {size_text(self.cache)} of disk for the prepared shapes and {size_text(self.pairs)} for the pairs"
         )
 
 
