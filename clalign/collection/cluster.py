@@ -110,7 +110,7 @@ def shared_out(workers: int) -> dict[str, str]:
     share = str(max(1, processor_count() // workers))
     single = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
     device = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", THREADS_VARIABLE)
-    # Fewer arenas keep less of what is freed; a low trim threshold, as Dask sets it, costs half the time in page faults.
+    # Fewer arenas keep less of what is freed; a low trim threshold, as Dask sets it, costs half the time in faults.
     memory = {"MALLOC_ARENA_MAX": "2"}
     return {name: "1" for name in single} | {name: share for name in device} | memory
 
