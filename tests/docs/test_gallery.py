@@ -59,7 +59,7 @@ def test_pages_name_options_and_methods_that_exist() -> None:
 
     text = "".join(path.read_text(encoding="utf-8") for path in DOCS.rglob("*.md"))
     groups = "spectrum|geodesics|search|alignment|readout|engine"
-    for name, value in re.findall(rf"`(?:--set )?((?:{groups})\.\w+)(?:=([a-z\d]\w*))?", text):
+    for name, value in re.findall(rf"`(?:--set )?((?:{groups})\.\w+)(?:=([a-z\d][\w.-]*))?", text):
         current = Options().as_dict()[name.partition(".")[0]][name.partition(".")[2]]
         Options().replace({name: value or current})
     table = (DOCS / "variants.md").read_text(encoding="utf-8").split("|---|---|---|\n")[1].split("\n\n")[0]
