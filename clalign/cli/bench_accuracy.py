@@ -69,7 +69,7 @@ def _add(
         metavar="NAMES",
         default="default",
         help="comma-separated: default, fast, cycle, isometric, heat-kernel, euclidean, regularized, one-sided, "
-        "unitarity, differentiated, uniform, full-band, diagonal-band, no-band, search-only, mirrored, paper, "
+        "unitarity, frozen, uniform, full-band, diagonal-band, no-band, search-only, mirrored, paper, "
         "paper-searched, paper-cycle, paper-isometric, paper-heat-kernel, paper-one-sided, paper-mirrored, "
         "pyfm (default: %(default)s)",
     )

@@ -198,7 +198,7 @@ NAMED_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "cycle": ("default", {"alignment.cycle": True}),
     "one-sided": ("default", {"alignment.sides": "one"}),
     "unitarity": ("default", {"alignment.unitarity": 100.0}),
-    "differentiated": ("default", {"alignment.denominator": "differentiated"}),
+    "frozen": ("default", {"alignment.denominator": "frozen"}),
     "uniform": ("default", {"alignment.weights": "uniform"}),
     "full-band": ("default", {"alignment.band": "full"}),
     "diagonal-band": ("default", {"alignment.band": "diagonal"}),
