@@ -45,10 +45,12 @@ def composed(
     """Return every candidate composed with every self-map of X (on the right) and of Y (on the left)."""
     size = functional.shape[1]
     results = [functional]
-    if len(source_maps):
-        results.append(np.einsum("bij,sjk->bsik", functional, source_maps).reshape(-1, size, size))
-    if len(target_maps):
-        results.append(np.einsum("tij,bjk->btik", target_maps, functional).reshape(-1, size, size))
+    # The self-maps of the larger shape may be in more functions than the smaller one has.
+    own_source, own_target = source_maps[:, :size, :size], target_maps[:, :size, :size]
+    if len(own_source):
+        results.append(np.einsum("bij,sjk->bsik", functional, own_source).reshape(-1, size, size))
+    if len(own_target):
+        results.append(np.einsum("tij,bjk->btik", own_target, functional).reshape(-1, size, size))
     return np.concatenate(results).astype(np.float32)
 
 
