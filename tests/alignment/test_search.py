@@ -254,3 +254,17 @@ def test_shapes_without_one_answer_get_some_isometry(
     assert np.isfinite(found.functional).all()
     assert not np.isnan(found.confidence)
     assert not np.isnan(found.orientation)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_very_small_shape_against_a_larger_one(swapped: bool, kernels: Backend) -> None:
+    """42 vertices have 14 functions where 162 have 54: candidates live in what both have."""
+    pair = [prepare(mesh_from_arrays(*shapes.bumpy_sphere(level)), MIDDLE) for level in (1, 2)]
+    source, target = reversed(pair) if swapped else pair
+    found = find_isometry(source, target, kernels, SearchOptions())
+    assert found.functional.shape == (14, 14)
+    maps = vertex_maps(Reference(), source, target, found.functional)
+    # The vertices of the coarser sphere are the first ones of the finer.
+    coarse_to_fine = maps.source_of_target if swapped else maps.target_of_source
+    fine = all_pairs(pair[1].mesh)
+    assert fine[coarse_to_fine, np.arange(42)].mean() < 0.2
