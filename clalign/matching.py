@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.alignment.forecast import require_memory
 from clalign.alignment.maps import PointMaps
 from clalign.alignment.pipeline import AlignedPair, Clock, align_pair
+from clalign.alignment.subvertex import SurfacePoints
 from clalign.correspondence import Alternative, Correspondence
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
@@ -57,6 +59,8 @@ def match(
     ------
     MeshError
         A mesh cannot be read or has a defect that the method cannot work with; the message says what to do.
+    MemoryBudgetError
+        The match would not fit into memory; raised before anything is computed.
     DeviceError
         No usable OpenCL device (``engine.backend=reference`` needs none).
     """
@@ -64,10 +68,12 @@ def match(
     clock = Clock(progress)
     with clock.stage("read"):
         meshes = as_mesh(source, "source"), as_mesh(target, "target")
-    with clock.stage("prepare"):
-        shapes = prepare_pair(*meshes, chosen, cache)
     with clock.stage("device"):
         backend = open_backend(chosen.engine)
+        device = backend.describe() if chosen.engine.backend == "opencl" else None
+        require_memory(meshes[0].n_vertices, meshes[1].n_vertices, chosen, device)
+    with clock.stage("prepare"):
+        shapes = prepare_pair(*meshes, chosen, cache)
     return match_shapes(*shapes, backend, chosen, clock)
 
 
@@ -92,6 +98,7 @@ def _correspondence(
     confidence = 1.0 if found is None else 1.0 - float(np.exp(-found.confidence))
     size = len(pair.functional)
     forward, backward = _in_file_numbering(source.mesh, target.mesh, pair.maps)
+    faces, barycentric = _points_in_file_numbering(source.mesh, pair.points)
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
@@ -114,6 +121,8 @@ def _correspondence(
         device=backend.name,
         options=options,
         versions=_versions(),
+        source_faces=faces,
+        source_barycentric=barycentric,
     )
 
 
@@ -124,6 +133,19 @@ def _in_file_numbering(source: Mesh, target: Mesh, maps: PointMaps) -> tuple[NDA
     backward = np.full(target.file_count, -1, dtype=np.int64)
     backward[target.file_index] = source.file_index[maps.source_of_target]
     return forward, backward
+
+
+def _points_in_file_numbering(
+    source: Mesh, points: SurfacePoints | None
+) -> tuple[NDArray[np.int64] | None, NDArray[np.float64] | None]:
+    """Return faces of the target and weights for every source vertex of the file; −1 and 0 off the surface."""
+    if points is None:
+        return None, None
+    faces = np.full(source.file_count, -1, dtype=np.int64)
+    faces[source.file_index] = points.faces
+    barycentric = np.zeros((source.file_count, 3))
+    barycentric[source.file_index] = points.barycentric
+    return faces, barycentric
 
 
 def local_distortion(source: Shape, target: Shape, target_of_source: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -1,0 +1,1 @@
+"""From two prepared shapes to R and the maps: search, objective, optimiser, read-out."""

@@ -56,8 +56,8 @@ def functional_point_maps(
     """Return the point maps of a functional map: nearest neighbours both ways between the rows of Ψ C and of Φ.
 
     C pulls functions on X back to Y, so row i of Ψ C is close to φ at the vertex of X that i is matched with. Using one
-    embedding for both directions keeps them consistent where C is not orthogonal (C φ_j is shrunk there, and its nearest
-    ψ_i drawn to vertices of small norm).
+    embedding for both directions keeps them consistent where C is not orthogonal (there C φ_j is shrunk, and drawn to
+    vertices of small norm).
 
     Parameters
     ----------
@@ -119,7 +119,8 @@ def two_way_functional_map(
     backward = backend.numpy(backend.weighted_gram(carried, backend.array(source_functions), mass_x))
     gram = backend.numpy(backend.weighted_gram(carried, carried, mass_x)).astype(np.float64)
     gram[np.diag_indices(len(gram))] += 1.0
-    return np.linalg.solve(gram, forward.astype(np.float64) + backward.astype(np.float64))
+    both = forward.astype(np.float64) + backward.astype(np.float64)
+    return np.asarray(np.linalg.solve(gram, both), dtype=np.float64)
 
 
 def wavelet_filtered(

@@ -12,18 +12,21 @@ from numpy.typing import NDArray
 
 from clalign.alignment.dense import DenseProblem, dense_distances
 from clalign.alignment.funnel import funnel_band
-from clalign.alignment.maps import PointMaps
+from clalign.alignment.maps import PointMaps, point_maps
+from clalign.alignment.metric import choose_metric
 from clalign.alignment.problem import AlignmentProblem, Evaluation
 from clalign.alignment.refine import (
     closed_form_rotation,
+    coherent_embeddings,
     coherent_steps,
     up_sampled,
     vertex_maps,
     wavelet_steps,
 )
 from clalign.alignment.rotation import StartingRotation, random_rotation
-from clalign.alignment.rounds import AlignedRotation, optimise_rotation
+from clalign.alignment.rounds import AlignedRotation, embeddings, optimise_rotation
 from clalign.alignment.search import SearchResult, find_isometry
+from clalign.alignment.subvertex import SurfacePoints, closest_points
 from clalign.alignment.views import aligned_side, sampled_factors
 from clalign.engine.backend import Backend, Band
 from clalign.geometry.shape import Shape
@@ -46,6 +49,8 @@ class AlignedPair:
     alignment : R with its history and losses.
     source_descriptors, target_descriptors : d eigenfunctions each, signs folded into the source's.
     functional : (k, k) C of R (Eq. 11, 26).
+    xi : exponent of the metric, chosen for this pair with the metric "auto".
+    points : of the target, for every source vertex; None without the sub-vertex read-out.
     search : the search's result; None with the paper's random start.
     rivals : maps of the best different candidates.
     timings : seconds a stage.
@@ -56,6 +61,8 @@ class AlignedPair:
     source_descriptors: Spectrum
     target_descriptors: Spectrum
     functional: NDArray[np.float64]
+    xi: float
+    points: SurfacePoints | None
     search: SearchResult | None
     rivals: tuple[PointMaps, ...]
     timings: dict[str, float]
@@ -97,6 +104,7 @@ def align_pair(source: Shape, target: Shape, backend: Backend, options: Options,
     band = funnel_band(count, options.alignment)
     found: SearchResult | None = None
     rivals: tuple[PointMaps, ...] = ()
+    xi = options.spectrum.xi
     if options.search.method == "random":
         start = StartingRotation(np.ones(count), random_rotation(count, options.seed))
     else:
@@ -108,6 +116,11 @@ def align_pair(source: Shape, target: Shape, backend: Backend, options: Options,
                 grown_maps(backend, source, target, rival, options)
                 for rival in found.rivals[: options.search.alternatives]
             )
+        if options.spectrum.metric == "auto":
+            with clock.stage("metric"):
+                source, target, xi = choose_metric(backend, source, target, maps, band, options.spectrum)
+                count = min(count, source.descriptors.count, target.descriptors.count)
+                band = funnel_band(count, options.alignment)
         with clock.stage("closed form"):
             start = _closed_form(backend, source, target, maps, band, options)
     descriptors = source.descriptors.head(count, start.signs), target.descriptors.head(count)
@@ -115,11 +128,27 @@ def align_pair(source: Shape, target: Shape, backend: Backend, options: Options,
         problem = bind(source, target, descriptors, band, backend, options)
         alignment = _optimised(problem, start, options, report)
         functional = problem.functional_map(alignment.rotation)
-    maps = alignment.maps
-    if options.readout.steps:
-        with clock.stage("read-out"):
-            maps = coherent_steps(backend, *descriptors, maps, options.readout.steps)
-    return AlignedPair(maps, alignment, *descriptors, functional, found, rivals, clock.seconds)
+    with clock.stage("read-out"):
+        maps, points = _final_maps(problem, alignment, descriptors, target, options)
+    return AlignedPair(maps, alignment, *descriptors, functional, xi, points, found, rivals, clock.seconds)
+
+
+def _final_maps(
+    problem: AlignmentProblem,
+    alignment: AlignedRotation,
+    descriptors: tuple[Spectrum, Spectrum],
+    target: Shape,
+    options: Options,
+) -> tuple[PointMaps, SurfacePoints | None]:
+    """Return the maps after the last steps, and with the sub-vertex read-out the points that they stand for."""
+    backend, maps = problem.backend, alignment.maps
+    queries, embedding = embeddings(problem, alignment.rotation)
+    for _ in range(options.readout.steps):
+        queries, embedding = coherent_embeddings(backend, *descriptors, maps)
+        maps = point_maps(backend, queries, embedding)
+    if not options.readout.subvertex:
+        return maps, None
+    return maps, closest_points(queries, embedding, target.mesh.faces, maps.target_of_source)
 
 
 def grown_maps(

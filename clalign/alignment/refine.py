@@ -43,9 +43,8 @@ def up_sampled(
             backend, basis[:, :current] @ orthogonalised(functional), source.basis.functions[:, :current]
         )
         weighted = basis[:, :wanted] * weights[:, None]
-        functional = np.linalg.solve(
-            basis[:, :wanted].T @ weighted, weighted.T @ source.basis.functions[index, :wanted]
-        )
+        pulled = weighted.T @ source.basis.functions[index, :wanted]
+        functional = np.asarray(np.linalg.solve(basis[:, :wanted].T @ weighted, pulled), dtype=np.float64)
     return functional
 
 
@@ -82,9 +81,16 @@ def closed_form_rotation(
     return starting_rotation(functional, band_mask(band), one_sided=one_sided)
 
 
+def coherent_embeddings(
+    backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the eigenfunctions of both shapes (n_x, d), (n_y, d) turned onto each other, weighted by coherence."""
+    directions = coherent_directions(two_way_functional_map(backend, source, target, maps))
+    return source.functions @ directions.source, target.functions @ directions.target
+
+
 def coherent_steps(backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps, steps: int) -> PointMaps:
     """Return the maps after `steps` two-way steps among the scale-invariant eigenfunctions, weighted by coherence."""
     for _ in range(steps):
-        directions = coherent_directions(two_way_functional_map(backend, source, target, maps))
-        maps = point_maps(backend, source.functions @ directions.source, target.functions @ directions.target)
+        maps = point_maps(backend, *coherent_embeddings(backend, source, target, maps))
     return maps

@@ -81,6 +81,9 @@ class Arrays(Protocol):
     def dtype(self) -> np.dtype[Any]:
         """The real type."""
 
+    def describe(self) -> dict[str, str | int | bool]:
+        """Return facts for reports; those of a device say its "kind", "memory" and "largest_buffer" (bytes)."""
+
     def array(self, values: ArrayLike) -> Array:
         """Upload: floats to the backend's real type, integers to int32; row-major."""
 

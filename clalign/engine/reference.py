@@ -31,3 +31,7 @@ class Reference(ReferenceArrays, ReferenceSoftMaps, ReferenceLosses, ReferenceSe
     def name(self) -> str:
         """Short description of where the arithmetic runs."""
         return f"numpy {np.__version__}, {self.dtype.name}"
+
+    def describe(self) -> dict[str, str | int | bool]:
+        """Return facts for reports: there is no device."""
+        return {"device": self.name}

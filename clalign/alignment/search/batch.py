@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.engine.backend import Backend
+from clalign.engine.backend import Backend, DistortionKind
 
 from .sampled import SampledShape
 
@@ -157,7 +157,9 @@ def up_sample(
     return batch
 
 
-def distortions(pair: SamplePair, index: NDArray[np.int32], points: int, kind: str = "squared") -> NDArray[np.float64]:
+def distortions(
+    pair: SamplePair, index: NDArray[np.int32], points: int, kind: DistortionKind = "squared"
+) -> NDArray[np.float64]:
     """Return each candidate's geodesic distortion, squared or relative, weighted over pairs of samples."""
     distances_x, distances_y, weights = pair.distances(index.shape[0], points)
     values = pair.backend.distortion_batch(

@@ -59,7 +59,7 @@ class SampledShape:
     def prefix_weights(self, count: int) -> NDArray[np.float64]:
         """Return the area that falls to each of the first `count` samples, from the cells of all samples."""
         nearest = np.argmin(self.distances[:count], axis=0)
-        return np.bincount(nearest, weights=self.weights, minlength=count)
+        return np.bincount(nearest, weights=self.weights, minlength=count).astype(np.float64)
 
     @lru_cache(maxsize=256)  # noqa: B019
     def analysis(self, count: int, size: int) -> NDArray[np.float64]:
@@ -68,7 +68,7 @@ class SampledShape:
         weighted = basis * self.prefix_weights(count)[:, None]
         gram = basis.T @ weighted
         gram[np.diag_indices(size)] += 1e-9 * np.trace(gram) / size
-        return np.linalg.solve(gram, weighted.T)
+        return np.asarray(np.linalg.solve(gram, weighted.T), dtype=np.float64)
 
 
 def sampled(shape: Shape) -> SampledShape:
