@@ -12,7 +12,7 @@ from clalign.engine.microbench import KernelRate
 from clalign.geometry.mesh import Mesh
 from clalign.geometry.operators import conformal_factor, gaussian_curvature, lumped_mass, stiffness
 from clalign.geometry.spectra import eigenvalue_unit, solve
-from clalign.geometry.workers import processor_count
+from clalign.geometry.workers import processor_count, single_threaded_blas
 from clalign.options import SpectrumOptions
 
 from .performance import elapsed, markdown_table, seconds_text
@@ -65,7 +65,8 @@ def measure_spectra(mesh: Mesh, basis: int = 120, descriptors: int = 352, repeat
     """Time Laplace–Beltrami and scale-invariant eigenfunctions of a mesh, ours and scipy's in turn, the best of each.
 
     Ours includes the check of every residual. scipy's is shift-invert ARPACK as its manual has it for the lowest
-    eigenpairs, with the mass matrix and a shift just below zero.
+    eigenpairs, with the mass matrix and a shift just below zero; its matrix products run in one thread, as ours do,
+    since on a busy machine more threads slow it down severalfold.
     """
     options = SpectrumOptions(basis=basis, descriptors=descriptors)
     mass, matrix = lumped_mass(mesh.vertices, mesh.faces), stiffness(mesh.vertices, mesh.faces)
@@ -79,8 +80,9 @@ def measure_spectra(mesh: Mesh, basis: int = 120, descriptors: int = 352, repeat
             solve(matrix, weights, count, threads=processor_count())
 
     def scipys() -> None:
-        for weights, count in wanted:
-            eigsh(matrix.tocsc(), count, sparse.diags_array(weights).tocsc(), sigma=-eigenvalue_unit(weights))
+        with single_threaded_blas():
+            for weights, count in wanted:
+                eigsh(matrix.tocsc(), count, sparse.diags_array(weights).tocsc(), sigma=-eigenvalue_unit(weights))
 
     seconds = scipy_seconds = float("inf")
     for _ in range(repeats):

@@ -37,6 +37,7 @@ class PairTime:
     label : what ran, "cold cache".
     seconds : from the start of the process to its end.
     stages : seconds of each stage; `START` is what no stage covers.
+    work : seconds of processor time in all threads, which other processes hardly change.
     peak : most bytes held, or None.
     device : where the arithmetic ran.
     """
@@ -44,6 +45,7 @@ class PairTime:
     label: str
     seconds: float
     stages: dict[str, float]
+    work: float
     peak: int | None
     device: str
 
@@ -81,7 +83,7 @@ def timed_process(request: Request, label: str, environment: Mapping[str, str]) 
         raise ClalignError(f"{label}: the match of {request.source} with {request.target} failed: {last}")
     answer = json.loads(done.stdout.splitlines()[-1])
     stages = {START: seconds - sum(answer["stages"].values()), **answer["stages"]}
-    return PairTime(label, seconds, stages, answer["peak"], answer["device"])
+    return PairTime(label, seconds, stages, answer["work"], answer["peak"], answer["device"])
 
 
 @contextmanager
@@ -180,11 +182,11 @@ def stage_names(times: Sequence[PairTime]) -> list[str]:
 
 
 def stage_exponents(times: Sequence[ScaleTime]) -> dict[str, float | None]:
-    """Return p of the fit seconds ∝ n^p for every stage, and for "total"."""
+    """Return p of the fit seconds ∝ n^p for every stage, for "total" and for "work"."""
     sizes = [one.vertices for one in times]
     names = stage_names([one.time for one in times])
     stages = {name: [one.time.stages.get(name, 0.0) for one in times] for name in names}
-    totals = {"total": [one.time.seconds for one in times]}
+    totals = {"total": [one.time.seconds for one in times], "work": [one.time.work for one in times]}
     return {name: fitted_exponent(sizes, seconds) for name, seconds in (stages | totals).items()}
 
 
@@ -195,6 +197,7 @@ def pair_table(times: Sequence[PairTime]) -> str:
         for name in stage_names(times)
     ]
     rows.append(["**total**", *(f"**{seconds_text(one.seconds)}**" for one in times)])
+    rows.append(["processor time", *(seconds_text(one.work) for one in times)])
     rows.append(["peak memory", *(bytes_text(one.peak) for one in times)])
     reference = next((one.seconds for one in times if one.label == "pyFM"), None)
     if reference is not None:
@@ -210,11 +213,12 @@ def scale_table(times: Sequence[ScaleTime]) -> str:
             f"{one.vertices:,}",
             *(seconds_text(one.time.stages.get(name, 0.0)) for name in names),
             f"**{seconds_text(one.time.seconds)}**",
+            seconds_text(one.time.work),
             bytes_text(one.time.peak),
             f"{100 * one.error:.2f}",
         ]
         for one in times
     ]
     exponents = stage_exponents(times)
-    rows.append(["fit", *(exponent_text(exponents[name]) for name in [*names, "total"]), "", ""])
-    return markdown_table(["n", *names, "total", "peak memory", "error × 100"], rows, text_columns=0)
+    rows.append(["fit", *(exponent_text(exponents[name]) for name in [*names, "total", "work"]), "", ""])
+    return markdown_table(["n", *names, "total", "processor", "peak memory", "error × 100"], rows, text_columns=0)

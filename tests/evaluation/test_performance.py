@@ -146,13 +146,14 @@ def test_kernels_stand_over_the_ceiling_of_their_unit() -> None:
 
 
 def some_time(label: str, seconds: float, prepare: float) -> PairTime:
-    return PairTime(label, seconds, {START: seconds - prepare, "prepare": prepare}, 10**9, "a device")
+    return PairTime(label, seconds, {START: seconds - prepare, "prepare": prepare}, 2 * seconds, 10**9, "a device")
 
 
 def test_the_pair_table_sets_runs_beside_each_other() -> None:
     table = pair_table([some_time("cold cache", 4.0, 3.0), some_time("pyFM", 10.0, 1.0)])
     assert table.splitlines()[0] == "| stage | cold cache | pyFM |"
     assert "| **total** | **4 s** | **10 s** |" in table
+    assert "| processor time | 8 s | 20 s |" in table
     assert "| pyFM's time over it | 2.50× | 1.00× |" in table
 
 
@@ -161,6 +162,7 @@ def test_the_scale_table_fits_every_stage() -> None:
     exponents = stage_exponents(times)
     assert exponents["prepare"] == pytest.approx(2.0)
     assert exponents["total"] == pytest.approx(1.0)
+    assert exponents["work"] == pytest.approx(1.0)
     lines = scale_table(times).splitlines()
     assert lines[2].startswith("| 1,000 | ")
     assert lines[-1].startswith("| fit | ")
@@ -177,6 +179,7 @@ def test_a_process_gives_times_memory_and_a_map(tmp_path) -> None:
     found = timed_process(request, "reference", {})
     assert sum(found.stages.values()) == pytest.approx(found.seconds)
     assert found.stages[START] > 0
+    assert found.work > 0.1
     assert {"read", "prepare", "alignment"} <= set(found.stages)
     assert found.peak is None or 5e7 < found.peak < 2e9
     assert found.device.startswith("numpy")
