@@ -125,7 +125,8 @@ class AlignmentOptions:
     band : the funnel read as "half" width (|i - j| <= W_i), "full" width, "diagonal" only, or "none" (dense R).
     sides : "both" aligns with R and R^T (Eq. 20), "one" with a single C~ on the source (Eq. 18).
     cycle : add the cycle term (Eq. 32).
-    unitarity : weight of l_uni (Eq. 23) as a penalty; 0 only reports it.
+    unitarity : weight of l_uni (Eq. 23) as a penalty; 0 only reports it, as the paper does. A little keeps the scale of
+        R, which a differentiated denominator leaves free, at no cost in accuracy.
     denominator : "frozen" as in the paper, which pays for a smaller R, or "differentiated", which does not.
     weights : "area" or the paper's "uniform" weights in the soft map and the losses.
     distances : "factors" (low rank) or "dense" (small meshes only).
@@ -141,7 +142,7 @@ class AlignmentOptions:
     band: Band = "half"
     sides: Literal["both", "one"] = "both"
     cycle: bool = False
-    unitarity: float = 0.0
+    unitarity: float = 30.0
     denominator: Literal["frozen", "differentiated"] = "differentiated"
     weights: Weights = "area"
     distances: Literal["factors", "dense"] = "factors"
@@ -308,6 +309,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "search.method": "random",
         "alignment.weights": "uniform",
         "alignment.denominator": "frozen",
+        "alignment.unitarity": 0.0,
         "alignment.decay": 1.0,
         "alignment.samples": 0,
         "alignment.rounds": 20,
