@@ -133,6 +133,12 @@ class Correspondence:
         functions = self.target_descriptors.functions[:, : len(self.rotation)]
         return functions if self.options.alignment.sides == "one" else functions @ self.rotation.T
 
+    def _repr_html_(self) -> str:
+        """Show the match in a notebook."""
+        from clalign.presentation.notebook import notebook_html
+
+        return notebook_html(self)
+
     def facts(self) -> dict[str, Any]:
         """Return everything but the arrays as plain values: the content of ``result.json``."""
         return {
