@@ -16,10 +16,10 @@ from clalign.alignment.maps import PointMaps, point_maps
 from clalign.alignment.metric import choose_metric
 from clalign.alignment.problem import AlignmentProblem, Evaluation
 from clalign.alignment.refine import (
+    best_grown,
     closed_form_rotation,
     coherent_embeddings,
     coherent_steps,
-    up_sampled,
     vertex_maps,
     wavelet_steps,
 )
@@ -157,7 +157,7 @@ def grown_maps(
     """Return the vertex maps of a functional map from the search, up-sampled as the options say."""
     if options.readout.refine == "none":
         return vertex_maps(backend, source, target, functional)
-    functional = up_sampled(backend, source, target, functional, options.spectrum.refinement)
+    functional = best_grown(backend, source, target, functional, options.spectrum.refinement)
     maps = vertex_maps(backend, source, target, functional)
     if options.readout.refine == "wavelet":
         maps = wavelet_steps(backend, source, target, maps, 2)

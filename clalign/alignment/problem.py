@@ -117,6 +117,9 @@ class AlignmentProblem:
         self._mass_x = array(source.loss_weights)
         self._gram_source = backend.weighted_gram(self._descriptors_x, self._descriptors_x, self._mass_x)
         self._identity = array(np.eye(band.size))
+        self._diagonals = {
+            size: array(np.eye(size).reshape(-1, 1)) for size in {source.basis.shape[1], target.basis.shape[1]}
+        }
         self._bind_distances()
 
     def _bind_distances(self) -> None:
@@ -227,6 +230,12 @@ class AlignmentProblem:
         dalpha = backend.product(dcross, beta, transpose_a=True)
         backend.product(dgram, alpha, accumulate=True, out=dalpha)
         backend.product(dgram, alpha, transpose_a=True, accumulate=True, out=dalpha)
+        # The ridge is relative, ρ tr(G) / k, so it has a slope too: 2 ρ / k tr(dG) α.
+        size = gram.shape[0]
+        trace = backend.weighted_gram(dgram.reshape(size * size, 1), self._diagonals[size])
+        flat = (alpha.shape[0] * alpha.shape[1], 1)
+        slope_scale = 2.0 * RIDGE / size
+        backend.product(alpha.reshape(flat), trace, scale=slope_scale, accumulate=True, out=dalpha.reshape(flat))
         return dalpha, dbeta
 
     def _rotation_gradient(self, dalpha: Any, dbeta: Any) -> Any:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,35 +19,101 @@ from clalign.alignment.maps import (
     wavelet_filtered,
 )
 from clalign.alignment.rotation import StartingRotation, starting_rotation
+from clalign.alignment.search.batch import Level, SamplePair, up_sample
+from clalign.alignment.search.choice import map_scores
+from clalign.alignment.search.sampled import sampled
 from clalign.engine.backend import Backend, Band
 from clalign.geometry.shape import Shape
 from clalign.geometry.spectra import Spectrum
 
-UP_SAMPLING_STEP = 10
 UP_SAMPLING_QUERIES = 1000
+LARGEST_FIELD = 3.0
+
+
+@dataclass(frozen=True)
+class Growth:
+    """How a functional map is grown.
+
+    start : functions that are kept of it; None keeps all.
+    step : functions added at a time.
+    strength : variance of the pointwise fields beside the eigenfunctions, relative to theirs.
+    signatures : the fields are heat kernel signatures and curvatures, else curvatures alone.
+    """
+
+    start: int | None = None
+    step: int = 10
+    strength: float = 0.0
+    signatures: bool = False
+
+
+GROWTHS = (
+    Growth(),
+    Growth(40, 10, 0.2, True),
+    Growth(40, 20, 0.4, True),
+    Growth(30, 10, 0.1, False),
+    Growth(50, 20, 0.2, True),
+)
+
+
+def pointwise_fields(shape: Shape, signatures: bool) -> NDArray[np.float64]:
+    """Return smoothed curvatures, with log-HKS if asked for, at all vertices (n, f): mean 0, variance 1, cut at 3."""
+    fields = np.concatenate([shape.curvatures, shape.signatures], axis=1) if signatures else shape.curvatures
+    centred = fields - shape.mass @ fields
+    spread = np.sqrt(shape.mass @ centred**2)
+    return np.clip(centred / np.maximum(spread, 1e-12), -LARGEST_FIELD, LARGEST_FIELD)
 
 
 def up_sampled(
-    backend: Backend, source: Shape, target: Shape, functional: NDArray[np.float64], size: int
+    backend: Backend,
+    source: Shape,
+    target: Shape,
+    functional: NDArray[np.float64],
+    size: int,
+    growth: Growth = GROWTHS[0],
 ) -> NDArray[np.float64]:
     """Return the functional map grown to `size` functions (ZoomOut on samples of Y against all vertices of X).
 
-    Every point map is read from the orthogonalised functional map: an isometry's is orthogonal.
+    Every point map is read from the orthogonalised functional map: an isometry's is orthogonal. Pointwise fields beside
+    the eigenfunctions decide what the low ones leave open: which way a thin part (an arm, a hand) is turned about its
+    axis shows only in functions of a wavelength below its girth, and by then an arbitrary choice would have been made.
     """
     samples = target.geodesics.samples[:UP_SAMPLING_QUERIES]
     basis = target.basis.functions[samples]
     weights = target.geodesics.sample_weights(samples.size)
     largest = min(size, source.basis.count, target.basis.count, samples.size // 2)
-    sizes = [*range(len(functional) + UP_SAMPLING_STEP, largest, UP_SAMPLING_STEP), largest]
+    kept = min(growth.start or len(functional), len(functional), largest)
+    sizes = [*range(kept + growth.step, largest, growth.step), largest]
+    if growth.start is not None:
+        sizes = [kept, kept, *sizes]
+    functional = functional[:kept, :kept]
+    field_x, field_y = (pointwise_fields(shape, growth.signatures) for shape in (source, target))
     for wanted in sizes:
         current = len(functional)
+        scale = np.sqrt(growth.strength * current / field_x.shape[1])
         index = nearest_rows(
-            backend, basis[:, :current] @ orthogonalised(functional), source.basis.functions[:, :current]
+            backend,
+            np.concatenate([basis[:, :current] @ orthogonalised(functional), scale * field_y[samples]], axis=1),
+            np.concatenate([source.basis.functions[:, :current], scale * field_x], axis=1),
         )
         weighted = basis[:, :wanted] * weights[:, None]
         pulled = weighted.T @ source.basis.functions[index, :wanted]
         functional = np.asarray(np.linalg.solve(basis[:, :wanted].T @ weighted, pulled), dtype=np.float64)
     return functional
+
+
+def best_grown(
+    backend: Backend, source: Shape, target: Shape, functional: NDArray[np.float64], size: int
+) -> NDArray[np.float64]:
+    """Return the best of the functional maps that `GROWTHS` give, by the score that also chose among candidates.
+
+    Where the low functions leave a part open, different growths turn it differently; the score tells them apart.
+    """
+    grown = [up_sampled(backend, source, target, functional, size, growth) for growth in GROWTHS]
+    pair = SamplePair(sampled(source), sampled(target), backend)
+    level = pair.fit(Level(len(grown[0]), UP_SAMPLING_QUERIES, UP_SAMPLING_QUERIES))
+    cut = np.array([each[: level.size, : level.size] for each in grown], dtype=np.float32)
+    batch = up_sample(pair, cut, [level])
+    return grown[int(np.argmin(map_scores(pair, batch, level.points)))]
 
 
 def vertex_maps(backend: Backend, source: Shape, target: Shape, functional: NDArray[np.float64]) -> PointMaps:

@@ -135,7 +135,7 @@ def test_literal_loss_is_equation_22(small: PreparedPair, bind_small: Callable[.
 
 
 def test_unitarity_is_equation_23(bind_small: Callable[..., Bound], rng: np.random.Generator) -> None:
-    pair = bind_small({})
+    pair = bind_small({"alignment.unitarity": 0.0})
     frozen, x = started(pair, rng)
     evaluation = pair.problem.value_and_gradient(x, frozen)
     rotation = pair.problem.unpack(x)

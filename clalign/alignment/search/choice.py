@@ -63,24 +63,29 @@ def commutativity(batch: Batch, source: NDArray[np.float64], target: NDArray[np.
     return np.sum((batch.functional * gap) ** 2, axis=(1, 2)) / np.sum(target[:size] ** 2)
 
 
-def ranked(pair: SamplePair, batch: Batch, points: int, least_orientation: float) -> Ranking:
-    """Rank candidates by the product of five unit-free scores; none has a weight.
+def map_scores(pair: SamplePair, batch: Batch, points: int) -> NDArray[np.float64]:
+    """Return each candidate's score, a product of five unit-free ones without weights; lower is better.
 
-    relative distortion · mean curvature · Gaussian curvature · log-HKS · commutativity with the Laplacian, the
-    candidates with an orientation above `least_orientation` (if any) before the others.
+    Relative distortion · mean curvature · Gaussian curvature · log-HKS · commutativity with the Laplacian.
     """
     weights = pair.target.prefix_weights(batch.index.shape[0])
     queries = len(weights)
     source, target = pair.source, pair.target
     curvature = field_differences(source.curvatures, target.curvatures[:queries], batch.index, weights)
     signature = field_differences(source.signatures, target.signatures[:queries], batch.index, weights).sum(axis=1)
-    scores = (
+    return np.asarray(
         distortions(pair, batch.index, points, "relative")
         * np.prod(curvature, axis=1)
         * signature
-        * commutativity(batch, source.eigenvalues, target.eigenvalues)
+        * commutativity(batch, source.eigenvalues, target.eigenvalues),
+        dtype=np.float64,
     )
-    orientation = orientation_scores(batch.functional, source, target)
+
+
+def ranked(pair: SamplePair, batch: Batch, points: int, least_orientation: float) -> Ranking:
+    """Rank candidates by `map_scores`, those with an orientation above `least_orientation` before the others."""
+    scores = map_scores(pair, batch, points)
+    orientation = orientation_scores(batch.functional, pair.source, pair.target)
     order = np.lexsort((scores, orientation <= least_orientation))
     batch, scores, orientation = batch.take(order), scores[order], orientation[order]
     between = map_distances(pair, batch.index, points)
