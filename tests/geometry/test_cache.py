@@ -177,11 +177,12 @@ def test_two_processes_share_a_folder(tmp_path: Path) -> None:
     """Both write, read, evict and clear the same entries; what is read is always whole."""
     command = [sys.executable, "-W", "error", "-c", RACER, str(tmp_path)]
     racers = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-    for racer in racers:
-        output, complaints = racer.communicate(timeout=60)
-        assert racer.returncode == 0, complaints
+    ended = [(racer.communicate(timeout=60), racer.returncode) for racer in racers]
+    for (output, complaints), status in ended:
+        assert status == 0, complaints
         assert complaints == ""
-        assert int(output) > 50
+        # How often the other one had just evicted an entry depends on the machine's load.
+        assert int(output) > 0
     assert not list(tmp_path.glob("*.part"))
 
 
