@@ -54,13 +54,22 @@ environment: CLALIGN_DEVICE (default of --device), CLALIGN_CACHE (folder of the 
 """
 
 
+class _WideHelp(argparse.RawDescriptionHelpFormatter):
+    """Leaves room for the longest command beside its description."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=18)
+        # argparse leaves the indentation of commands out of the width that it computes.
+        self._action_max_length = 14
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the program with all commands."""
     parser = argparse.ArgumentParser(
         prog="clalign",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=_WideHelp,
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"clalign {__version__}")

