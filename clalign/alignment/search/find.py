@@ -13,7 +13,7 @@ from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape
 from clalign.options import SearchOptions
 
-from .batch import Batch, Level, SamplePair, distortions, up_sample
+from .batch import Batch, Level, SamplePair, distortions, map_distances, up_sample, without_duplicates
 from .choice import Ranking, ranked
 from .closure import composed, self_maps, unfolded_again, widened
 from .orientation import orientation_scores
@@ -145,8 +145,6 @@ def _tree_candidates(pair: SamplePair, report: Callable[[float], None]) -> NDArr
 
 def _best(pair: SamplePair, batch: Batch, most: int) -> Batch:
     """Return the candidates of least distortion, without duplicates."""
-    from .batch import map_distances, without_duplicates
-
     points = pair.fit(Level(40, 200, 600)).points
     order = np.argsort(distortions(pair, batch.index, points), kind="stable")
     batch = batch.take(order)

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from clalign.geometry.shape import Shape
 
-TENSOR_SIZE = 30
-
 
 @dataclass(frozen=True, eq=False)
 class SampledShape:
