@@ -65,7 +65,7 @@ class SpectrumOptions:
     refinement: int = 200
     descriptors: int = 352
     metric: Metric = "power"
-    xi: float = 0.3
+    xi: float = 0.5
     clamp: float = 0.02
     epsilon: float = 1.0
     solver: Literal["block", "arpack"] = "block"
@@ -170,7 +170,7 @@ class ReadoutOptions:
     """
 
     readout: Readout = "aligned"
-    refine: Literal["none", "upsample", "wavelet"] = "upsample"
+    refine: Literal["none", "upsample", "wavelet", "pieces"] = "pieces"
     steps: int = 2
     subvertex: bool = False
 

@@ -14,6 +14,7 @@ from clalign.alignment.dense import DenseProblem, dense_distances
 from clalign.alignment.funnel import funnel_band
 from clalign.alignment.maps import PointMaps, point_maps
 from clalign.alignment.metric import choose_metric
+from clalign.alignment.pieces import piecewise_maps
 from clalign.alignment.problem import AlignmentProblem, Evaluation
 from clalign.alignment.refine import (
     best_grown,
@@ -157,6 +158,10 @@ def grown_maps(
     """Return the vertex maps of a functional map from the search, up-sampled as the options say."""
     if options.readout.refine == "none":
         return vertex_maps(backend, source, target, functional)
+    if options.readout.refine == "pieces":
+        count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
+        descriptors = source.descriptors.head(count), target.descriptors.head(count)
+        return piecewise_maps(backend, source, target, descriptors, functional, options.spectrum.refinement)
     functional = best_grown(backend, source, target, functional, options.spectrum.refinement)
     maps = vertex_maps(backend, source, target, functional)
     if options.readout.refine == "wavelet":
@@ -189,10 +194,11 @@ def _closed_form(
     backend: Backend, source: Shape, target: Shape, maps: PointMaps, band: Band, options: Options
 ) -> StartingRotation:
     """Return R from the maps after closed-form steps among the lower scale-invariant eigenfunctions."""
-    coarse = max(min(COARSE_DESCRIPTORS, band.size), band.size // 2)
-    maps = coherent_steps(
-        backend, source.descriptors.head(coarse), target.descriptors.head(coarse), maps, options.readout.steps
-    )
+    if options.readout.refine != "pieces":
+        coarse = max(min(COARSE_DESCRIPTORS, band.size), band.size // 2)
+        maps = coherent_steps(
+            backend, source.descriptors.head(coarse), target.descriptors.head(coarse), maps, options.readout.steps
+        )
     one_sided = options.alignment.sides == "one"
     return closed_form_rotation(backend, source.descriptors, target.descriptors, maps, band, one_sided)
 

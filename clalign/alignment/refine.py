@@ -47,10 +47,10 @@ class Growth:
 
 
 GROWTHS = (
-    Growth(),
-    Growth(40, 10, 0.2, True),
+    Growth(None, 20),
+    Growth(40, 20, 0.2, True),
     Growth(40, 20, 0.4, True),
-    Growth(30, 10, 0.1, False),
+    Growth(30, 20, 0.1, False),
     Growth(50, 20, 0.2, True),
 )
 

@@ -1,0 +1,182 @@
+"""Maps between samples of two shapes in both directions, and two-way steps on them.
+
+A two-way step on all vertices compares every vertex with every other. On samples of both sides against all vertices it
+costs a tenth, so that many variants of a map can be tried; see `pieces`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from clalign.engine.backend import Backend
+from clalign.geometry.shape import Shape
+from clalign.geometry.spectra import Spectrum
+
+SAMPLES = 1000
+RIDGE = 1e-7
+"""Of the two-way least squares, relative to the mean diagonal entry."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Vertices spread evenly over a shape.
+
+    Attributes
+    ----------
+    vertices : (S,) int64.
+    weights : (S,) float64, share of the area that is closest to each; sums to 1.
+    pieces : (S,) int64, number of the piece of the surface that each lies in.
+    """
+
+    vertices: NDArray[np.int64]
+    weights: NDArray[np.float64]
+    pieces: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class SampledBasis:
+    """Eigenfunctions of a shape with its samples.
+
+    Attributes
+    ----------
+    functions : (n, k) float32, enough for what only guides a choice.
+    samples : S of the vertices.
+    uploaded : the functions on a backend.
+    """
+
+    functions: NDArray[np.float32]
+    samples: Samples
+    uploaded: Any
+
+    @property
+    def count(self) -> int:
+        """Number of functions."""
+        return self.functions.shape[1]
+
+    def at_samples(self, size: int) -> NDArray[np.float32]:
+        """Return the first `size` functions at the samples (S, size)."""
+        return self.functions[self.samples.vertices, :size]
+
+
+@dataclass(frozen=True)
+class SampleMaps:
+    """For every sample a vertex of the other shape.
+
+    Attributes
+    ----------
+    target_of_source : (S_x,) int64, for the samples of X.
+    source_of_target : (S_y,) int64, for the samples of Y.
+    """
+
+    target_of_source: NDArray[np.int64]
+    source_of_target: NDArray[np.int64]
+
+
+def spread_samples(shape: Shape, count: int = SAMPLES, pieces: int = 100) -> Samples:
+    """Return the farthest-point samples of a shape, and more where it has fewer than `count`.
+
+    Large meshes have few geodesic samples; what is missing is chosen farthest from those before in space, which spreads
+    them as evenly but for parts that touch. A piece is what is closest, on the surface, to one of the first samples.
+    """
+    geodesic = shape.geodesics.samples[:count]
+    wanted = min(count, shape.mesh.n_vertices)
+    if geodesic.size < wanted:
+        vertices = _farthest_in_space(shape.mesh.vertices, geodesic, wanted)
+        _, nearest = cKDTree(shape.mesh.vertices[vertices]).query(shape.mesh.vertices)
+        weights = np.bincount(nearest, weights=shape.mass, minlength=wanted).astype(np.float64)
+    else:
+        vertices, weights = geodesic, shape.geodesics.sample_weights(geodesic.size)
+    rows = shape.geodesics.rows[:pieces, vertices]
+    return Samples(vertices, weights, np.argmin(rows, axis=0).astype(np.int64))
+
+
+def sampled_basis(backend: Backend, spectrum: Spectrum, samples: Samples) -> SampledBasis:
+    """Bind eigenfunctions to samples, and bring them to the backend once."""
+    functions = spectrum.functions.astype(np.float32)
+    return SampledBasis(functions, samples, backend.array(functions))
+
+
+def sample_functional_map(
+    source: SampledBasis, target: SampledBasis, maps: SampleMaps, size: int
+) -> NDArray[np.float64]:
+    """Return the functional map (size, size) that explains the maps of both directions best; see `maps`.
+
+    The weighted least squares of `maps.two_way_functional_map`, with sums over samples instead of all vertices.
+    """
+    pulled = source.functions[maps.source_of_target, :size]
+    carried = target.functions[maps.target_of_source, :size]
+    own_x, own_y = source.at_samples(size), target.at_samples(size)
+    weighted_y = (own_y * target.samples.weights[:, None].astype(np.float32)).T
+    weighted_x = (carried * source.samples.weights[:, None].astype(np.float32)).T
+    gram = (weighted_y @ own_y + weighted_x @ carried).astype(np.float64)
+    gram[np.diag_indices(size)] += RIDGE * np.trace(gram) / size
+    both = (weighted_y @ pulled + weighted_x @ own_x).astype(np.float64)
+    return np.asarray(scipy.linalg.solve(gram, both, assume_a="pos", check_finite=False), dtype=np.float64)
+
+
+def coherent_factors(functional: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return matrices for source and target functions whose products lie close together at matched vertices.
+
+    Up to a common rotation they are `maps.coherent_directions`: with C = U Σ Vᵀ, V min(Σ, 1) and U min(Σ, 1), made from
+    the eigenvectors V of CᵀC, which cost a tenth of a singular value decomposition.
+    """
+    squares, right = np.linalg.eigh(functional.T @ functional)
+    values = np.sqrt(np.maximum(squares, 0.0))
+    return right * np.minimum(values, 1.0), (functional @ right) * np.minimum(1.0, 1.0 / np.maximum(values, 1e-12))
+
+
+def orthogonal_factors(functional: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return matrices for source and target functions of the orthogonalised functional map, all weights 1."""
+    squares, right = np.linalg.eigh(functional.T @ functional)
+    inverse = 1.0 / np.sqrt(np.maximum(squares, 1e-12 * max(float(squares[-1]), 1e-300)))
+    return right, (functional @ right) * inverse
+
+
+def nearest_samples(
+    backend: Backend,
+    source: SampledBasis,
+    target: SampledBasis,
+    factors: tuple[NDArray[np.float64], NDArray[np.float64]],
+) -> SampleMaps:
+    """Return for every sample the nearest vertex of the other shape among the functions that `factors` align."""
+    embedded, penalties = [], []
+    for basis, factor in zip((source, target), factors, strict=True):
+        padded = np.zeros((basis.uploaded.shape[1], factor.shape[1]))
+        padded[: len(factor)] = factor
+        embedded.append(backend.product(basis.uploaded, backend.array(padded)))
+        values = backend.numpy(embedded[-1])
+        penalties.append(backend.array(0.5 * np.einsum("nk,nk->n", values, values)))
+    found = []
+    for here, there, basis in ((0, 1, source), (1, 0, target)):
+        queries = backend.gather(embedded[here], backend.array(basis.samples.vertices.astype(np.int32)))
+        index, _ = backend.nearest(queries, embedded[there], penalties[there])
+        found.append(backend.numpy(index).astype(np.int64))
+    return SampleMaps(*found)
+
+
+def coherent_sample_steps(
+    backend: Backend, source: SampledBasis, target: SampledBasis, maps: SampleMaps, sizes: tuple[int, ...]
+) -> SampleMaps:
+    """Return the maps after one two-way step, weighted by coherence, with each number of functions."""
+    for size in sizes:
+        functional = sample_functional_map(source, target, maps, size)
+        maps = nearest_samples(backend, source, target, coherent_factors(functional))
+    return maps
+
+
+def _farthest_in_space(points: NDArray[np.float64], chosen: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Extend `chosen` to `count` points, each farthest in space from those before."""
+    gaps, _ = cKDTree(points[chosen]).query(points)
+    squares = gaps**2
+    added = list(chosen)
+    while len(added) < count:
+        following = int(squares.argmax())
+        added.append(following)
+        np.minimum(squares, np.sum((points - points[following]) ** 2, axis=1), out=squares)
+    return np.array(added, dtype=np.int64)
