@@ -97,6 +97,9 @@ class KernelProducts(KernelArrays):
         if w is not None:
             require_shapes("weighted_gram", w=(w.shape, (rows,)))
         result = self._result("weighted_gram", (m, n), out)
+        if m == n == 1 and w is None:
+            self._dot(a, b, result)
+            return result
         tiles = ceil_div(m, TILE) * ceil_div(n, self.device.lanes)
         wanted = 8 * self.device.facts.units * self.device.group
         splits = min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_SPLIT))
