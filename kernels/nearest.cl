@@ -29,7 +29,7 @@
 #define BOUND 48 /* steps between two checks */
 #endif
 #ifndef TRIAL
-#define TRIAL 16 /* panels after which checks stop, if fewer than one tile in 16 were given up */
+#define TRIAL 32 /* panels after which checks stop, if tiles were given up too seldom or too late to pay for them */
 #endif
 #if PRECISION == 64
 #define ROUNDING ((real)1 / ((whole)1 << 52))
@@ -107,11 +107,11 @@ KERNEL void nearest(const int m, const int p, const int depth, const int checks,
         where[i] = 0;
     }
     for (int i = 0; i < groups * RT; ++i) top[i] = -INFINITY;
-    int checked = checks, given_up = 0;
+    int checked = checks, saved = 0;
     for (int panel = 0; panel < panels; ++panel) {
         if (panel % TRIAL == 0) {
-            if (panel > 0 && given_up * 16 < TRIAL * groups) checked = 0;
-            given_up = 0;
+            if (panel > 0 && saved * 16 < TRIAL * groups * checks) checked = 0;
+            saved = 0;
         }
         const realv bias0 = LOAD(__global, penalty + panel * W), bias1 = LOAD(__global, penalty + panel * W + V);
         const realv low0 = lowered(bias0), low1 = lowered(bias1);
@@ -134,7 +134,7 @@ KERNEL void nearest(const int m, const int p, const int depth, const int checks,
                 if (!any_lane(alive)) break;
             }
             if (check < checked) {
-                ++given_up;
+                saved += checked - check;
                 continue;
             }
             TILE_STEPS(__global, columns_of + (size_t)steps * W, W, scalars_of + steps, 1, depth - steps)
