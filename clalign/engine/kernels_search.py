@@ -39,7 +39,7 @@ class KernelSearches(KernelProducts):
         score = self._result("nearest", (m,), out and out[1])
         lanes = self.device.lanes
         padded_size = ceil_div(p, lanes) * lanes
-        groups = 8 if self.device.group == 1 else 1
+        groups = self._nearest_groups(ceil_div(m, TILE))
         checks = 0 if absolute else max(0, ceil_div(depth, BOUND) - 1)
         defines: dict[str, str | int] = {
             "RT": TILE,
@@ -63,6 +63,12 @@ class KernelSearches(KernelProducts):
         sides = (queries, packed, padded, query_rest, point_rest)
         launch(kernel("nearest", "nearest", **defines), items, m, p, depth, checks, *sides, index, score)
         return index, score
+
+    def _nearest_groups(self, row_groups: int) -> int:
+        """Row groups of one work-item: the more, the fewer times all points are read, as long as every unit is busy."""
+        if self.device.group > 1:
+            return 1
+        return 32 if row_groups >= 32 * 8 * self.device.facts.units else 8
 
     def distortion_batch(
         self,

@@ -9,7 +9,9 @@ from clalign.engine import kernels_search
 from clalign.engine.kernels import Kernels
 
 
-@pytest.mark.parametrize(("m", "p", "depth"), [(1, 1, 1), (97, 257, 9), (1025, 97, 50), (257, 1025, 352)])
+@pytest.mark.parametrize(
+    ("m", "p", "depth"), [(1, 1, 1), (97, 257, 9), (1025, 97, 50), (257, 1025, 352), (5000, 97, 20)]
+)
 def test_nearest_neighbour_scores_match_twin(check, rng, m, p, depth):
     queries, points = rng.normal(size=(m, depth)), rng.normal(size=(p, depth))
     index, _ = check("nearest", queries, points, 0.5 * np.sum(points**2, axis=1))
