@@ -171,6 +171,15 @@ class AlignmentProblem:
         rotation[rows, columns] = x
         return rotation
 
+    def embeddings(self, rotation: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Return Φ̃ R (n_x, d) and Ψ̃ Rᵀ (n_y, d) (one-sided: Ψ̃) in the backend's precision."""
+        backend = self.backend
+        turn = backend.array(rotation)
+        source = backend.numpy(backend.banded_product(self._descriptors_x, turn, self.band))
+        if self._one_sided:
+            return source, backend.numpy(self._descriptors_y)
+        return source, backend.numpy(backend.banded_product(self._descriptors_y, turn, self.band, transpose_r=True))
+
     def functional_map(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return C (k_y, k_x) from R by least squares (Eq. 11, 26)."""
         alpha, beta = self._coefficients(self.backend.array(rotation))
@@ -306,7 +315,7 @@ class AlignmentProblem:
     def _unitarity(self, rotation: Any, gradient: Any) -> Any:
         """Return d² l_uni (Eq. 23); its penalty, if any, is added to `gradient`."""
         backend, size = self.backend, self.band.size
-        excess = backend.product(rotation, rotation, transpose_b=True)
+        excess = backend.banded_product(rotation, rotation, self.band, transpose_r=True)
         backend.add(excess, self._identity, scale_b=-1.0, out=excess)
         flat = excess.reshape(size * size, 1)
         if self.options.unitarity > 0:

@@ -49,7 +49,7 @@ def hard_map(problem: AlignmentProblem, rotation: NDArray[np.float64], readout: 
     """Return target_of_source (n_x,) of R: nearest neighbours ("aligned", "functional") or Eq. 28 ("argmax")."""
     source, target, backend = problem.source, problem.target, problem.backend
     if readout == "aligned":
-        return nearest_rows(backend, *embeddings(problem, rotation))
+        return nearest_rows(backend, *problem.embeddings(rotation))
     functional = problem.functional_map(rotation)
     if readout == "functional":
         return nearest_rows(backend, source.basis, target.basis @ functional)
@@ -69,7 +69,7 @@ def read_out(
     source, target, backend = problem.source, problem.target, problem.backend
     forward = hard_map(problem, rotation, readout) if target_of_source is None else target_of_source
     if readout == "aligned":
-        turned_source, turned_target = embeddings(problem, rotation)
+        turned_source, turned_target = problem.embeddings(rotation)
         return PointMaps(forward, nearest_rows(backend, turned_target, turned_source))
     pulled = target.basis @ problem.functional_map(rotation)
     return PointMaps(forward, nearest_rows(backend, pulled, source.basis))
@@ -137,15 +137,17 @@ def _round(
     readout: Readout,
     record: Callable[[Evaluation], None],
 ) -> _Ended:
-    before = problem.value_and_gradient(problem.pack(rotation), frozen)
+    start = problem.pack(rotation)
+    before = problem.value_and_gradient(start, frozen)
 
     def objective(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        evaluation = problem.value_and_gradient(x, frozen)
+        # L-BFGS begins at the point that is known already.
+        evaluation = before if np.array_equal(x, start) else problem.value_and_gradient(x, frozen)
         record(evaluation)
         return evaluation.total, evaluation.gradient
 
     options = problem.options
-    minimum = minimise(objective, problem.pack(rotation), options.iterations, options.tolerance)
+    minimum = minimise(objective, start, options.iterations, options.tolerance)
     candidate = problem.unpack(minimum.x)
     refreshed = problem.start_round(candidate, hard_map(problem, candidate, readout), frozen.weight)
     after = problem.value_and_gradient(problem.pack(candidate), refreshed)

@@ -97,6 +97,9 @@ class KernelProducts(KernelArrays):
         if w is not None:
             require_shapes("weighted_gram", w=(w.shape, (rows,)))
         result = self._result("weighted_gram", (m, n), out)
+        if m == n == 1 and w is None:
+            self._dot(a, b, result)
+            return result
         tiles = ceil_div(m, TILE) * ceil_div(n, self.device.lanes)
         wanted = 8 * self.device.facts.units * self.device.group
         splits = min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_SPLIT))
@@ -158,7 +161,7 @@ class KernelProducts(KernelArrays):
         if weight is not None or (transpose_a and depth > DEPTH_BLOCK):
             a = self._pack_tiles("left", a, m, depth, TILE, weight)
             a_group, a_row, a_step = depth * TILE, 1, TILE
-        groups, panels = self._macro_tile(group_count, panel_count * splits)
+        groups, panels = self._macro_tile(group_count, panel_count, splits)
         kernel = self.device.kernel("product", "product", RT=TILE, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         size = (ceil_div(group_count, groups), ceil_div(panel_count, panels), splits)
         split_depth = ceil_div(depth, splits)
@@ -167,15 +170,20 @@ class KernelProducts(KernelArrays):
             kernel, size, *sizes, scale, int(accumulate), a, a_group, a_row, a_step, b, b_step, b_panel, ranges, result
         )
 
-    def _macro_tile(self, group_count: int, panel_count: int) -> tuple[int, int]:
-        """Tiles of one work-item: up to 16 x 8 on a CPU as long as every unit has a few items; 1 x 1 on a GPU."""
+    def _macro_tile(self, group_count: int, panel_count: int, splits: int) -> tuple[int, int]:
+        """Row groups and panels of one work-item: up to 16 x 16 on a CPU, 1 x 1 on a GPU.
+
+        Rows are cut first, and columns only where that leaves a unit without a few items: what shares its rows reads
+        them from memory once.
+        """
         if self.device.group > 1:
             return 1, 1
-        wanted = 4 * self.device.facts.units
-        panels = min(8, max(1, panel_count // wanted))
-        columns = ceil_div(panel_count, panels)
-        groups = min(16, max(1, group_count * columns // wanted))
-        return groups, panels
+        wanted = ceil_div(4 * self.device.facts.units, splits)
+        groups = min(16, max(1, group_count // wanted))
+        rows = ceil_div(group_count, groups)
+        panels = min(16, panel_count, max(1, panel_count * rows // wanted))
+        # Items of equal width: a narrow last one would leave its unit idle.
+        return groups, ceil_div(panel_count, ceil_div(panel_count, panels))
 
     def _pack_panels(
         self,

@@ -11,6 +11,9 @@ from .device import DeviceArray
 from .kernels_arrays import PART, ceil_div, require_shapes
 from .kernels_products import TILE, KernelProducts
 
+BOUND = 48
+"""Depth after which a tile of the nearest points is checked: can one of its scores still be the best of its row?"""
+
 ROWS_OF_PART = 64
 """Rows of a distance matrix that one work-item of the batched distortion sums."""
 
@@ -36,15 +39,36 @@ class KernelSearches(KernelProducts):
         score = self._result("nearest", (m,), out and out[1])
         lanes = self.device.lanes
         padded_size = ceil_div(p, lanes) * lanes
-        groups = 8 if self.device.group == 1 else 1
-        defines: dict[str, str | int] = {"RT": TILE, "NEAREST_GROUPS": groups, "ABSOLUTE": int(absolute)}
+        groups = self._nearest_groups(ceil_div(m, TILE))
+        checks = 0 if absolute else max(0, ceil_div(depth, BOUND) - 1)
+        defines: dict[str, str | int] = {
+            "RT": TILE,
+            "NEAREST_GROUPS": groups,
+            "ABSOLUTE": int(absolute),
+            "BOUND": BOUND,
+        }
         padded = self.device.scratch("penalty", padded_size)
         launch, kernel = self.device.launch, self.device.kernel
         launch(kernel("nearest", "pad_penalty", **defines), padded_size, p, padded_size, penalty, padded)
         packed = self._pack_panels("right", points, p, depth, 1, depth)
+        query_rest = point_rest = None
+        if checks:
+            rows = ceil_div(m, TILE) * TILE
+            query_rest = self.device.scratch("rests.queries", rows * checks)
+            launch(kernel("nearest", "query_rests", **defines), rows, m, depth, checks, queries, query_rest)
+            point_rest = self.device.scratch("rests.points", padded_size * checks)
+            panels = padded_size // lanes
+            launch(kernel("nearest", "point_rests", **defines), panels, panels, depth, checks, packed, point_rest)
         items = ceil_div(m, groups * TILE)
-        launch(kernel("nearest", "nearest", **defines), items, m, p, depth, queries, packed, padded, index, score)
+        sides = (queries, packed, padded, query_rest, point_rest)
+        launch(kernel("nearest", "nearest", **defines), items, m, p, depth, checks, *sides, index, score)
         return index, score
+
+    def _nearest_groups(self, row_groups: int) -> int:
+        """Row groups of one work-item: the more, the fewer times all points are read, as long as every unit is busy."""
+        if self.device.group > 1:
+            return 1
+        return 32 if row_groups >= 32 * 8 * self.device.facts.units else 8
 
     def distortion_batch(
         self,

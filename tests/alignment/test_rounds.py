@@ -11,7 +11,7 @@ import pytest
 from prepared import Bound
 
 from clalign.alignment.problem import AlignmentProblem, Evaluation
-from clalign.alignment.rounds import optimise_rotation, read_out
+from clalign.alignment.rounds import embeddings, optimise_rotation, read_out
 
 ROUNDS = {"alignment.rounds": 4, "alignment.iterations": 12, "alignment.decay": 1.0}
 
@@ -47,6 +47,32 @@ def test_no_round_ends_above_its_start(
     firsts = [values[0] for values in totals.values()]
     assert firsts == sorted(firsts, reverse=True)
     assert [entry["evaluation"] for entry in found.history] == list(range(len(found.history)))
+
+
+@pytest.mark.parametrize("sides", ["both", "one"])
+def test_embeddings_on_the_backend_are_those_of_the_host(bind_small: Callable[..., Bound], sides: str) -> None:
+    problem, rotation, _ = bind_small({"alignment.sides": sides})
+    inside = problem.unpack(problem.pack(rotation))
+    for made, expected in zip(problem.embeddings(inside), embeddings(problem, inside), strict=True):
+        np.testing.assert_allclose(made, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+
+
+def test_no_point_of_a_round_is_evaluated_twice(
+    bind_small: Callable[..., Bound], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, rotation, _ = bind_small({**ROUNDS, "alignment.rounds": 1})
+    plain, seen = problem.value_and_gradient, []
+
+    def counted(x: Any, frozen: Any) -> Evaluation:
+        seen.append((x.copy(), frozen))
+        return plain(x, frozen)
+
+    monkeypatch.setattr(problem, "value_and_gradient", counted)
+    found = optimise_rotation(problem, rotation, "aligned")
+    at_start = [x for x, frozen in seen if frozen is seen[0][1] and np.array_equal(x, seen[0][0])]
+    assert len(at_start) == 1
+    # The start is in the history all the same; the refreshed end of the round and the result are not.
+    assert len(seen) == len(found.history) + 2
 
 
 def test_the_map_is_that_of_the_rotation(bind_small: Callable[..., Bound]) -> None:

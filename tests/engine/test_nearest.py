@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from clalign.engine import kernels_search
 from clalign.engine.kernels import Kernels
 
 
-@pytest.mark.parametrize(("m", "p", "depth"), [(1, 1, 1), (97, 257, 9), (1025, 97, 50), (257, 1025, 352)])
+@pytest.mark.parametrize(
+    ("m", "p", "depth"), [(1, 1, 1), (97, 257, 9), (1025, 97, 50), (257, 1025, 352), (5000, 97, 20)]
+)
 def test_nearest_neighbour_scores_match_twin(check, rng, m, p, depth):
     queries, points = rng.normal(size=(m, depth)), rng.normal(size=(p, depth))
     index, _ = check("nearest", queries, points, 0.5 * np.sum(points**2, axis=1))
@@ -54,3 +57,52 @@ def test_negative_scores_still_name_a_point(kernels: Kernels, rng):
     )
     assert kernels.numpy(index).max() < 5
     assert kernels.numpy(score).max() < -1e5
+
+
+def close_pairs(rng, m, p, depth):
+    """Queries near points of their own: almost every tile can be given up early."""
+    points = rng.normal(size=(p, depth))
+    return points[rng.integers(0, p, size=m)] + 0.3 * rng.normal(size=(m, depth)), points
+
+
+def decided_late(rng, m, p, depth):
+    """Rows that differ in their last components only, by little: no tile can be given up early."""
+    points = np.repeat(rng.normal(size=(1, depth)), p, axis=0)
+    points[:, -3:] += 0.05 * rng.normal(size=(p, 3))
+    return points[rng.integers(0, p, size=m)] + 1e-3 * rng.normal(size=(m, depth)), points
+
+
+def tail_heavy(rng, m, p, depth):
+    """Almost all of a row's length lies behind the first checks."""
+    points = rng.normal(size=(p, depth)) * np.where(np.arange(depth) < 100, 0.01, 1.0)
+    return points[rng.integers(0, p, size=m)] + 0.3 * rng.normal(size=(m, depth)), points
+
+
+def far_from_the_origin(rng, m, p, depth):
+    """Large norms and penalties, of which only small differences count."""
+    queries, points = close_pairs(rng, m, p, depth)
+    return queries + 30.0, points + 30.0
+
+
+@pytest.mark.parametrize("backend", ["kernels", "double_kernels"])
+@pytest.mark.parametrize("make", [close_pairs, decided_late, tail_heavy, far_from_the_origin])
+@pytest.mark.parametrize("with_penalty", [True, False])
+@pytest.mark.parametrize("depth", [49, 97, 352])
+def test_giving_up_tiles_changes_no_bit(request, monkeypatch, rng, backend, make, with_penalty, depth):
+    on_device = request.getfixturevalue(backend)
+    queries, points = make(rng, 101, 1337, depth)
+    arrays = [on_device.array(queries), on_device.array(points)]
+    if with_penalty:
+        arrays.append(on_device.array(0.5 * np.sum(points**2, axis=1)))
+    early = [on_device.numpy(part) for part in on_device.nearest(*arrays)]
+    monkeypatch.setattr(kernels_search, "BOUND", depth)
+    full = [on_device.numpy(part) for part in on_device.nearest(*arrays)]
+    for part, whole in zip(early, full, strict=True):
+        np.testing.assert_array_equal(part, whole)
+
+
+def test_copies_of_a_point_far_apart_end_at_the_first(kernels: Kernels, rng):
+    queries, points = close_pairs(rng, 40, 700, 200)
+    twice = kernels.array(np.concatenate([points, points]))
+    index, _ = kernels.nearest(kernels.array(queries), twice, kernels.array(np.tile(0.5 * np.sum(points**2, 1), 2)))
+    assert kernels.numpy(index).max() < 700
