@@ -230,10 +230,12 @@ class _Basis:
     def _subtract_all(self, block: Array, used: int) -> Array:
         """Make a block orthogonal to the first `used` rows, in place; return the (used, BLOCK) coefficients.
 
-        A few rows at a time: both products with them read the processor's cache, and memory is read once.
+        A few rows at a time: both products with them read the processor's cache, and memory is read once. Where not
+        even a few fit into the cache, one product with all rows reads the block itself less often.
         """
         coefficients = np.empty((used, len(block)), dtype=np.float64)
-        step = max(PANEL_BYTES // self.rows[0].nbytes, BLOCK)
+        step = PANEL_BYTES // self.rows[0].nbytes
+        step = step if step >= BLOCK else used
         for first in range(0, used, step):
             panel = self.rows[first : min(first + step, used)]
             part = panel @ block.T
