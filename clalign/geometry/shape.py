@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -110,12 +111,18 @@ def prepare_pair(source: Mesh, target: Mesh, options: Options, cache: ShapeCache
 
 
 def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | None = None) -> list[Shape]:
-    """Prepare several meshes, distances in another process beside spectra in the threads of this one.
+    """Prepare several meshes, distances in other processes beside spectra in the threads of this one.
 
+    Distances take longer than spectra and cannot be split, so as many meshes at a time as there are processors.
     Results do not depend on what else is prepared at the same time.
     """
-    with single_threaded_blas(), ThreadPoolExecutor(1) as pool, HeatProcess() as heat:
-        distances = [pool.submit(_distances, mesh, options.geodesics, heat, cache) for mesh in meshes]
+    with ExitStack() as stack:
+        stack.enter_context(single_threaded_blas())
+        pool = stack.enter_context(ThreadPoolExecutor(max(min(len(meshes), processor_count()), 1)))
+        distances = [
+            pool.submit(_distances, mesh, options.geodesics, stack.enter_context(HeatProcess()), cache)
+            for mesh in meshes
+        ]
         try:
             spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
             return [
@@ -123,7 +130,7 @@ def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | No
                 for mesh, spectra, geodesics in zip(meshes, spectral, distances, strict=True)
             ]
         except BaseException:
-            # Leaving the block waits for the thread: let it not begin the distances of further meshes.
+            # Leaving the block waits for the threads: let them not begin the distances of further meshes.
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
@@ -164,6 +171,11 @@ def _descriptors(
 
 
 def _distances(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
+    with heat:
+        return _sampled(mesh, options, heat, cache)
+
+
+def _sampled(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
     values = {"search": options.search_samples, "factor": options.factor_samples}
     return _stored(
         cache,
