@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.geometry.geodesics import HeatMethod
+from clalign.geometry.heat import HeatMethod
 from clalign.geometry.mesh import Mesh
 
 DistanceMethod = Literal["heat", "bounded"]
@@ -28,7 +28,7 @@ class Distances:
 
     def __init__(self, mesh: Mesh, method: DistanceMethod = "heat") -> None:
         self._mesh = mesh
-        self._heat = HeatMethod(mesh)
+        self._heat = HeatMethod(mesh.vertices, mesh.faces, mesh.name)
         self._bounded = method == "bounded"
 
     def row(self, vertex: int) -> NDArray[np.float64]:

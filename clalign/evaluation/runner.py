@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import ClalignError, OptionError
+from clalign.geometry.workers import THREADS_VARIABLE
 
 from .distances import DistanceMethod
 from .errors import evaluate
@@ -38,6 +39,7 @@ SINGLE_THREAD = {
     "MKL_NUM_THREADS": "1",
     "POCL_MAX_PTHREAD_COUNT": "1",
     "POCL_CPU_MAX_CU_COUNT": "1",
+    THREADS_VARIABLE: "1",
 }
 
 

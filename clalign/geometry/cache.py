@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 logger = logging.getLogger(__name__)
 
 #: Part of every key; raised whenever the same input leads to other arrays than before.
-FORMAT = 1
+FORMAT = 2
 KEY_DIGITS = 40
 DEFAULT_LIMIT = 2 * 1024**3
 #: A temporary file of this age, in seconds, was left behind by a process that was killed.

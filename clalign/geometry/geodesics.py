@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from clalign.errors import MeshError
-
+from .heat import FarthestPoints, HeatMethod, Surface, farthest_points
 from .mesh import Mesh
 from .operators import lumped_mass
 
 logger = logging.getLogger(__name__)
+
+Sampler = Callable[[Surface, int, int, int], FarthestPoints]
 
 #: Bound of (samples × vertices): a row of the heat method takes about half a microsecond a vertex on one core.
 ROW_VERTICES = 20_000_000
@@ -59,35 +61,9 @@ class DistanceFactors:
     core: NDArray[np.float64]
 
 
-class HeatMethod:
-    """Distances from single vertices by the heat method, factorised once.
-
-    Raises
-    ------
-    MeshError
-        The mesh cannot be handled (not manifold, for example).
-    """
-
-    def __init__(self, mesh: Mesh) -> None:
-        import potpourri3d
-
-        try:
-            self._solver = potpourri3d.MeshHeatMethodDistanceSolver(mesh.vertices, mesh.faces)
-        except RuntimeError as error:
-            raise MeshError(f"{mesh.name}: geodesic distances cannot be computed ({error})") from error
-        self._name = mesh.name
-
-    def row(self, vertex: int) -> NDArray[np.float64]:
-        """Return the (n,) distances from one vertex; zero there and nowhere negative."""
-        distances: NDArray[np.float64] = np.asarray(self._solver.compute_distance(int(vertex)), dtype=np.float64)
-        np.maximum(distances, 0.0, out=distances)
-        distances[vertex] = 0.0
-        if not np.isfinite(distances).all():
-            raise MeshError(f"{self._name}: distances from vertex {vertex} are not finite; look for degenerate faces")
-        return distances
-
-
-def farthest_point_geodesics(mesh: Mesh, search_samples: int, factor_samples: int) -> Geodesics:
+def farthest_point_geodesics(
+    mesh: Mesh, search_samples: int, factor_samples: int, sampler: Sampler = farthest_points
+) -> Geodesics:
     """Sample vertices, each as far as possible from those before, and measure distances from them.
 
     The first sample is the vertex farthest from the one nearest to the centroid, so that the samples do not depend on
@@ -99,6 +75,7 @@ def farthest_point_geodesics(mesh: Mesh, search_samples: int, factor_samples: in
     mesh : of unit area.
     search_samples : S, samples whose mutual distances are kept.
     factor_samples : N, samples whose full rows are kept (at most S).
+    sampler : `heat.farthest_points`, or what does the same elsewhere.
 
     Raises
     ------
@@ -110,29 +87,14 @@ def farthest_point_geodesics(mesh: Mesh, search_samples: int, factor_samples: in
     if count < min(search_samples, n):
         logger.info("%s: %d geodesic samples instead of %d (%d vertices)", mesh.name, count, search_samples, n)
     mass = lumped_mass(mesh.vertices, mesh.faces)
-    heat = HeatMethod(mesh)
-    samples = np.zeros(count, dtype=np.int64)
-    rows = np.zeros((count, n), dtype=np.float32)
-    gap = np.full(n, np.inf, dtype=np.float32)
-    owner = np.zeros(n, dtype=np.int64)
-    following = int(heat.row(_central_vertex(mesh, mass)).argmax())
-    for index in range(count):
-        samples[index] = following
-        rows[index] = heat.row(following)
-        closer = rows[index] < gap
-        gap[closer] = rows[index, closer]
-        owner[closer] = index
-        # A sample keeps its own cell, and is never taken twice, even where vertices coincide.
-        gap[following] = -1.0
-        owner[following] = index
-        following = int(gap.argmax())
-    between = rows[:, samples].astype(np.float64)
-    weights = np.bincount(owner, weights=mass, minlength=count)
+    surface = Surface(mesh.vertices, mesh.faces, mass, mesh.name)
+    found = sampler(surface, _central_vertex(mesh, mass), count, min(factor_samples, count))
+    between = found.between.astype(np.float64)
     return Geodesics(
-        samples=samples,
+        samples=found.samples,
         distances=0.5 * (between + between.T),
-        rows=rows[: min(factor_samples, count)].copy(),
-        weights=weights / weights.sum(),
+        rows=found.rows,
+        weights=found.areas / found.areas.sum(),
     )
 
 
@@ -172,6 +134,6 @@ def low_rank(geodesics: Geodesics, mass: NDArray[np.float64], rank: int | None =
 
 def all_pairs(mesh: Mesh) -> NDArray[np.float64]:
     """Return the (n, n) distances between all vertices, symmetric with zero diagonal. For small meshes."""
-    heat = HeatMethod(mesh)
+    heat = HeatMethod(mesh.vertices, mesh.faces, mesh.name)
     distances = np.stack([heat.row(vertex) for vertex in range(mesh.n_vertices)])
     return 0.5 * (distances + distances.T)

@@ -35,7 +35,9 @@ logger = logging.getLogger(__name__)
 SLICE = 176
 OVERLAP = 6
 #: Right-hand sides of one solve: enough for matrix products, few enough to converge fast.
-BLOCK = 8
+BLOCK = 6
+#: Rows of the basis that are held in the processor's cache while a block is made orthogonal to them.
+PANEL_BYTES = 2**20
 #: Columns of the basis, as a multiple of the wanted pairs, at which convergence is first looked at, and at most.
 FIRST_CHECK = 2.25
 CAPACITY = 6.0
@@ -218,13 +220,28 @@ class _Basis:
             local = recent @ image.T
             self.projected[max(first - BLOCK, 0) : last, first:last] = local
             block, outer = _normalised(image - local.T @ recent)
-            everything = self.rows[:last]
-            correction = everything @ block.T
+            correction = self._subtract_all(block, last)
             self.projected[:last, first:last] += correction @ outer
-            block, inner = _normalised(block - correction.T @ everything)
+            block, inner = _normalised(block)
             self.rows[last : last + BLOCK] = block
             self.coupling = inner @ outer
             self.used = last
+
+    def _subtract_all(self, block: Array, used: int) -> Array:
+        """Make a block orthogonal to the first `used` rows, in place; return the (used, BLOCK) coefficients.
+
+        A few rows at a time: both products with them read the processor's cache, and memory is read once. Where not
+        even a few fit into the cache, one product with all rows reads the block itself less often.
+        """
+        coefficients = np.empty((used, len(block)), dtype=np.float64)
+        step = PANEL_BYTES // self.rows[0].nbytes
+        step = step if step >= BLOCK else used
+        for first in range(0, used, step):
+            panel = self.rows[first : min(first + step, used)]
+            part = panel @ block.T
+            block -= part.T @ panel
+            coefficients[first : first + step] = part
+        return coefficients
 
     def ritz(self) -> tuple[Array, Array]:
         """Return Ritz values of the inverse, ascending, and their coefficients as columns."""
@@ -250,7 +267,8 @@ def _normalised(block: Array) -> tuple[Array, Array]:
     with contextlib.suppress(np.linalg.LinAlgError):
         lower[:] = np.linalg.cholesky(block @ block.T)
     if lower.diagonal().min() > 1e-6 * lower.diagonal().max():
-        return scipy.linalg.solve_triangular(lower, block, lower=True, check_finite=False), lower.T
+        # Few rows: a product with the inverse is quicker than a triangular solve, which copies them twice.
+        return np.linalg.inv(lower) @ block, lower.T
     q, r = scipy.linalg.qr(block.T, mode="economic", check_finite=False)
     return np.ascontiguousarray(q.T), r
 

@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -18,6 +19,7 @@ from clalign.options import GeodesicOptions, Options, SpectrumOptions
 
 from .cache import ShapeCache, content_key
 from .geodesics import DistanceFactors, Geodesics, farthest_point_geodesics, low_rank
+from .heat_process import HeatProcess
 from .mesh import Mesh
 from .operators import (
     conformal_factor,
@@ -109,23 +111,28 @@ def prepare_pair(source: Mesh, target: Mesh, options: Options, cache: ShapeCache
 
 
 def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | None = None) -> list[Shape]:
-    """Prepare several meshes, distances in one thread beside spectra in others.
+    """Prepare several meshes, distances in other processes beside spectra in the threads of this one.
 
-    The heat method holds the interpreter lock, so a second thread for it would gain nothing; solves and matrix products
-    of the spectra do not. Results do not depend on what else is prepared at the same time.
+    Distances take longer than spectra and cannot be split, so as many meshes at a time as there are processors.
+    Results do not depend on what else is prepared at the same time.
     """
-    with single_threaded_blas(), ThreadPoolExecutor(1) as pool:
-        distances = [pool.submit(_distances, mesh, options.geodesics, cache) for mesh in meshes]
+    with ExitStack() as stack:
+        stack.enter_context(single_threaded_blas())
+        pool = stack.enter_context(ThreadPoolExecutor(max(min(len(meshes), processor_count()), 1)))
+        distances = [
+            pool.submit(_distances, mesh, options.geodesics, stack.enter_context(HeatProcess()), cache)
+            for mesh in meshes
+        ]
         try:
             spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
+            return [
+                _shape(mesh, *spectra, geodesics.result())
+                for mesh, spectra, geodesics in zip(meshes, spectral, distances, strict=True)
+            ]
         except BaseException:
-            # Leaving the block waits for the thread: let it not begin the distances of further meshes.
+            # Leaving the block waits for the threads: let them not begin the distances of further meshes.
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-        return [
-            _shape(mesh, *spectra, geodesics.result())
-            for mesh, spectra, geodesics in zip(meshes, spectral, distances, strict=True)
-        ]
 
 
 def with_descriptors(shape: Shape, options: SpectrumOptions, cache: ShapeCache | None = None) -> Shape:
@@ -163,13 +170,18 @@ def _descriptors(
     return _stored(cache, content_key("descriptors", _surface(mesh), values), Spectrum, compute)
 
 
-def _distances(mesh: Mesh, options: GeodesicOptions, cache: ShapeCache | None) -> Geodesics:
+def _distances(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
+    with heat:
+        return _sampled(mesh, options, heat, cache)
+
+
+def _sampled(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
     values = {"search": options.search_samples, "factor": options.factor_samples}
     return _stored(
         cache,
         content_key("geodesics", _surface(mesh), values),
         Geodesics,
-        lambda: farthest_point_geodesics(mesh, options.search_samples, options.factor_samples),
+        lambda: farthest_point_geodesics(mesh, options.search_samples, options.factor_samples, heat.farthest_points),
     )
 
 

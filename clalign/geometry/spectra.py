@@ -121,7 +121,7 @@ def fix_signs(functions: NDArray[np.float64], mass: NDArray[np.float64]) -> NDAr
     functions : (n, k) float64, orthonormal in M.
     mass : (n,) float64.
     """
-    third = mass @ functions**3
+    third = mass @ (functions * functions * functions)
     largest = np.take_along_axis(functions, np.abs(functions).argmax(axis=0)[None], axis=0)[0]
     clear = np.abs(third) * np.sqrt(mass.sum()) > 1e-6
     signs = np.where(np.where(clear, third, largest) < 0, -1.0, 1.0)

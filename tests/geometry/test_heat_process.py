@@ -1,0 +1,263 @@
+"""The other interpreter: the same numbers bit for bit, the same errors, and nothing left of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import sys
+import threading
+import time
+from concurrent.futures import CancelledError
+from pathlib import Path
+
+import analytic
+import numpy as np
+import pytest
+
+from clalign.errors import MeshError
+from clalign.geometry import heat_process, heat_server, shape
+from clalign.geometry.heat import FarthestPoints, Surface, farthest_points
+from clalign.geometry.heat_process import HeatProcess
+from clalign.geometry.mesh import Mesh
+from clalign.geometry.operators import lumped_mass
+from clalign.options import Options
+
+ANSWER_FIRST = "import json, sys\nsys.path[:] = json.loads(sys.argv[1])\n"
+
+
+def surface(mesh: Mesh) -> Surface:
+    return Surface(mesh.vertices, mesh.faces, lumped_mass(mesh.vertices, mesh.faces), mesh.name)
+
+
+@pytest.fixture(scope="module")
+def bumpy() -> Surface:
+    return surface(analytic.as_unit_mesh(analytic.bumpy(3), "bumpy"))
+
+
+@pytest.fixture(autouse=True)
+def always(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Use the process however small the mesh and the machine."""
+    monkeypatch.setattr(heat_process, "WORTH_A_PROCESS", 0)
+    monkeypatch.setattr(heat_process, "processor_count", lambda: 2)
+
+
+@pytest.fixture
+def not_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fail where the work is done in this interpreter."""
+
+    def refuse(*_: object) -> FarthestPoints:
+        raise AssertionError("computed in this interpreter")
+
+    monkeypatch.setattr(heat_process, "farthest_points", refuse)
+
+
+def assert_same(found: FarthestPoints, expected: FarthestPoints) -> None:
+    for name in ("samples", "between", "rows", "areas"):
+        one, other = getattr(found, name), getattr(expected, name)
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+
+
+def gone(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+@pytest.mark.usefixtures("not_here")
+def test_the_same_bit_for_bit_from_one_process_for_all_meshes(bumpy: Surface) -> None:
+    torus = surface(analytic.as_unit_mesh(analytic.torus(30, 15, 0.4), "torus"))
+    with HeatProcess() as heat:
+        assert_same(heat.farthest_points(bumpy, 5, 60, 20), farthest_points(bumpy, 5, 60, 20))
+        assert heat._process is not None
+        first = heat._process.pid
+        assert_same(heat.farthest_points(torus, 0, 40, 40), farthest_points(torus, 0, 40, 40))
+        assert heat._process.pid == first != os.getpid()
+    assert gone(first)
+
+
+def test_preparation_is_the_same_bit_for_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = analytic.as_unit_mesh(analytic.bumpy(3), "bumpy")
+    options = Options().replace(
+        {"spectrum.basis": 20, "spectrum.refinement": 30, "spectrum.descriptors": 40, "geodesics.search_samples": 50}
+    )
+    with monkeypatch.context() as patch:
+        patch.setattr(heat_process, "processor_count", lambda: 1)
+        patch.setattr(heat_process, "_started", lambda: pytest.fail("a process on one processor"))
+        here = shape.prepare(mesh, options)
+    monkeypatch.setattr(heat_process, "farthest_points", lambda *_: pytest.fail("computed in this interpreter"))
+    there = shape.prepare(mesh, options)
+    for name in ("samples", "distances", "rows", "weights"):
+        np.testing.assert_array_equal(getattr(there.geodesics, name), getattr(here.geodesics, name))
+    np.testing.assert_array_equal(there.factors.left, here.factors.left)
+
+
+def test_small_meshes_need_no_process(bumpy: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(heat_process, "WORTH_A_PROCESS", 10 * len(bumpy.vertices) + 1)
+    with HeatProcess() as heat:
+        heat.farthest_points(bumpy, 5, 10, 5)
+        assert heat._process is None
+
+
+@pytest.mark.usefixtures("not_here")
+def test_what_the_heat_method_refuses_has_the_same_message(bumpy: Surface, capfd: pytest.CaptureFixture[str]) -> None:
+    broken = dataclasses.replace(bumpy, vertices=np.full_like(bumpy.vertices, np.nan), name="Ünruhe")
+    with pytest.raises(MeshError) as here:
+        farthest_points(broken, 0, 3, 2)
+    capfd.readouterr()
+    with HeatProcess() as heat:
+        with pytest.raises(MeshError) as there:
+            heat.farthest_points(broken, 0, 3, 2)
+        # It goes on with the next mesh.
+        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+    assert str(there.value) == str(here.value)
+    assert "Ünruhe" in str(here.value)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.usefixtures("not_here")
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_crash_of_native_code_is_an_error_of_the_mesh(
+    bumpy: Surface, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    crash = "from clalign.geometry import heat_server\nheat_server.answer = lambda _: __import__('os').abort()\n"
+    monkeypatch.setattr(heat_process, "PROGRAM", ANSWER_FIRST + crash + "heat_server.main()")
+    with HeatProcess() as heat, pytest.raises(MeshError, match=r"bumpy: geodesic distances .*SIGABRT"):
+        heat.farthest_points(bumpy, 5, 6, 2)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "raise SystemExit(3)",
+        "import nothing_of_this_name",
+        "import os; os.write(1, b'=' + bytes(7))",
+        "import sys; sys.stdin.buffer.read(20); sys.exit()",
+    ],
+)
+def test_without_an_answer_the_work_is_done_here(
+    bumpy: Surface, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], program: str
+) -> None:
+    monkeypatch.setattr(heat_process, "PROGRAM", program)
+    with HeatProcess() as heat:
+        for _ in range(2):
+            assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("executable", ["", None, "missing/python3", "application"])
+def test_without_an_interpreter_the_work_is_done_here(
+    bumpy: Surface, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, executable: str | None
+) -> None:
+    started = tmp_path / "started"
+    application = tmp_path / "application"
+    application.write_text(f"#!/bin/sh\ntouch '{started}'\n", encoding="utf-8")
+    application.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(tmp_path / executable) if executable else executable)
+    with HeatProcess() as heat:
+        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+    assert not started.exists()
+
+
+def test_a_frozen_program_is_not_started_again(bumpy: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "frozen", True, raising=False)
+    monkeypatch.setattr(heat_process, "_started", lambda: pytest.fail("started"))
+    with HeatProcess() as heat:
+        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+
+
+@pytest.mark.usefixtures("not_here")
+def test_modules_in_the_working_folder_are_not_taken_for_libraries(
+    bumpy: Surface, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in ("json", "numpy", "clalign"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong one')", encoding="utf-8")
+    monkeypatch.setattr(sys, "path", [os.path.abspath(folder) for folder in sys.path if folder])
+    monkeypatch.chdir(tmp_path)
+    with HeatProcess() as heat:
+        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+
+
+@pytest.mark.usefixtures("not_here")
+def test_stopping_ends_a_process_that_is_at_work(bumpy: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Ctrl-C does: the thread that waits for an answer gets an exception, and no process is left."""
+    monkeypatch.setattr(heat_process, "PROGRAM", "import time; time.sleep(600)")
+    errors: list[BaseException] = []
+    heat = HeatProcess()
+
+    def ask() -> None:
+        try:
+            heat.farthest_points(bumpy, 5, 6, 2)
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    while heat._process is None:
+        time.sleep(0.01)
+    number = heat._process.pid
+    heat.stop()
+    thread.join(60)
+    assert not thread.is_alive()
+    assert [type(error) for error in errors] == [CancelledError]
+    assert gone(number)
+    with pytest.raises(CancelledError):
+        heat.farthest_points(bumpy, 5, 6, 2)
+
+
+def test_an_interrupt_during_preparation_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = analytic.as_unit_mesh(analytic.bumpy(3), "bumpy")
+    monkeypatch.setattr(heat_process, "PROGRAM", "import time; time.sleep(600)")
+    numbers: list[int] = []
+    started = heat_process._started
+
+    def noted() -> object:
+        process = started()
+        numbers.append(process.pid)
+        return process
+
+    def interrupt(*_: object) -> None:
+        while not numbers:
+            time.sleep(0.01)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(heat_process, "_started", noted)
+    monkeypatch.setattr(shape, "_spectra", interrupt)
+    monkeypatch.setattr(shape, "processor_count", lambda: 2)
+    with pytest.raises(KeyboardInterrupt):
+        shape.prepare_pair(mesh, mesh, Options())
+    assert numbers
+    assert all(gone(number) for number in numbers)
+
+
+def test_a_process_ends_with_its_input(bumpy: Surface) -> None:
+    """So that none outlives a program that is killed."""
+    with HeatProcess() as heat:
+        heat.farthest_points(bumpy, 5, 6, 2)
+        process = heat._process
+        assert process is not None
+        assert process.stdin is not None
+        process.stdin.close()
+        assert process.wait(60) == 0
+
+
+def test_what_the_process_imports() -> None:
+    """A start of a fifth of a second, not of two: neither trimesh nor scipy's solvers."""
+    program = "from clalign.geometry import heat_server; import potpourri3d, sys; print(*sys.modules)"
+    with os.popen(f'"{sys.executable}" -c "{program}"') as output:
+        loaded = set(output.read().split())
+    assert {"numpy", "potpourri3d", heat_server.__name__} <= loaded
+    assert not loaded & {"trimesh", "scipy.linalg", "scipy.spatial", "pyopencl", "clalign.geometry.mesh"}
+
+
+def test_a_lost_process_is_logged(
+    bumpy: Surface, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(heat_process, "PROGRAM", "raise SystemExit(7)")
+    with caplog.at_level(logging.INFO, logger="clalign"), HeatProcess() as heat:
+        heat.farthest_points(bumpy, 5, 6, 2)
+    assert "status 7" in caplog.text
