@@ -164,8 +164,10 @@ class ReadoutOptions:
 
     readout : "aligned" (nearest neighbour among aligned eigenfunctions), "functional" (nearest neighbour of C phi
         among the psi) or "argmax" (Eq. 28).
-    refine : spectral up-sampling before the alignment ("upsample"), with wavelet filters ("wavelet") or "none".
-    steps : two-way steps in the scale-invariant basis, before the alignment and again after it.
+    refine : between search and alignment: spectral up-sampling in several ways, of which every piece of the surface
+        takes the best ("pieces"), the best one as a whole ("upsample"), that with wavelet filters ("wavelet"), or
+        "none".
+    steps : two-way steps in the scale-invariant basis after the alignment, and before it unless `refine` is "pieces".
     subvertex : also give every match as a point in a face.
     """
 

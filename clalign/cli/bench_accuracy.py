@@ -68,9 +68,10 @@ def _add(
         "--variants",
         metavar="NAMES",
         default="default",
-        help="comma-separated: default, fast, cycle, isometric, heat-kernel, euclidean, regularized, one-sided, "
-        "unitarity, frozen, uniform, full-band, diagonal-band, no-band, search-only, mirrored, paper, "
-        "paper-searched, paper-cycle, paper-isometric, paper-heat-kernel, paper-one-sided, paper-mirrored, "
+        help="comma-separated: default, fast, cycle, isometric, heat-kernel, euclidean, regularized, auto-metric, "
+        "one-sided, unitarity, frozen, uniform, full-band, diagonal-band, no-band, search-only, up-sampled, pieces, "
+        "closed-form, mirrored, paper, paper-searched, paper-cycle, paper-isometric, paper-heat-kernel, "
+        "paper-one-sided, paper-mirrored, "
         "pyfm (default: %(default)s)",
     )
     parser.add_argument(
