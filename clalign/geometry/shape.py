@@ -6,7 +6,6 @@ import dataclasses
 import logging
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -28,7 +27,7 @@ from .operators import (
     stiffness,
 )
 from .spectra import Spectrum, solve
-from .workers import processor_count, single_threaded_blas
+from .workers import processor_count, single_threaded_blas, thread_pool
 
 logger = logging.getLogger(__name__)
 
@@ -114,14 +113,9 @@ def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | No
     The heat method holds the interpreter lock, so a second thread for it would gain nothing; solves and matrix products
     of the spectra do not. Results do not depend on what else is prepared at the same time.
     """
-    with single_threaded_blas(), ThreadPoolExecutor(1) as pool:
+    with single_threaded_blas(), thread_pool(1) as pool:
         distances = [pool.submit(_distances, mesh, options.geodesics, cache) for mesh in meshes]
-        try:
-            spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
-        except BaseException:
-            # Leaving the block waits for the thread: let it not begin the distances of further meshes.
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
         return [
             _shape(mesh, *spectra, geodesics.result())
             for mesh, spectra, geodesics in zip(meshes, spectral, distances, strict=True)
