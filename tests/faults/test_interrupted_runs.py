@@ -100,6 +100,7 @@ def test_from_the_first_map_on_the_best_is_kept(
     assert "warning: interrupted: " in shown.err
     result = Correspondence.load(tmp_path / "out")
     assert result.warnings[0].startswith("interrupted: ")
+    assert result.interrupted
     # The pair is one shape bent: vertex i is vertex i, and even the search's map is close to that.
     missed = result.source.vertices[result.target_of_source] - result.source.vertices
     assert np.linalg.norm(missed, axis=1).mean() < 0.1
