@@ -24,6 +24,9 @@ from clalign.options import Options
 from clalign.storage import atomic_folder, recover
 
 RESULT_FORMAT = 1
+#: How the warning of a match begins that Ctrl-C has cut short.
+INTERRUPTED = "interrupted: "
+
 FACTS_FILE = "result.json"
 ARRAYS_FILE = "result.npz"
 FORWARD_FILE = "target_of_source.txt"
@@ -132,6 +135,11 @@ class Correspondence:
         """(n_y, d) those of the target turned towards the source's, Ψ̃Rᵀ; Ψ̃ as it is for a one-sided match (Eq. 18)."""
         functions = self.target_descriptors.functions[:, : len(self.rotation)]
         return functions if self.options.alignment.sides == "one" else functions @ self.rotation.T
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C cut the match short; `match` returns then, so a loop over many pairs should ask and end."""
+        return any(warning.startswith(INTERRUPTED) for warning in self.warnings)
 
     def _repr_html_(self) -> str:
         """Show the match in a notebook."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.metadata
 import logging
 import platform
@@ -53,7 +54,8 @@ def match(
     Returns
     -------
     Correspondence
-        Both maps in the vertex numbering of the input, the functional map C, R, and the aligned eigenfunctions.
+        Both maps in the vertex numbering of the input, the functional map C, R, and the aligned eigenfunctions. After
+        Ctrl-C it is the best map so far, once the search has found one; `Correspondence.interrupted` says so.
 
     Raises
     ------
@@ -88,7 +90,11 @@ def match_shapes(
     clock = Clock() if clock is None else clock
     with single_threaded_blas(), np.errstate(over="ignore", under="ignore"):
         pair = align_pair(source, target, backend, options, clock)
-    return _correspondence(source, target, pair, backend, options)
+    try:
+        return _correspondence(source, target, pair, backend, options)
+    except KeyboardInterrupt:
+        pair = dataclasses.replace(pair, alignment=dataclasses.replace(pair.alignment, status="interrupted"))
+        return _correspondence(source, target, pair, backend, options)
 
 
 def _correspondence(
@@ -186,7 +192,10 @@ def _alternatives(source: Shape, target: Shape, pair: AlignedPair) -> tuple[Alte
 
 def _warnings(source: Mesh, target: Mesh, pair: AlignedPair, confidence: float) -> tuple[str, ...]:
     """Return what a user has to know, and raise it as Python warnings too."""
-    messages = [f"{mesh.name}: {note}" for mesh in (source, target) for note in mesh.notes]
+    messages = []
+    if pair.alignment.status == "interrupted":
+        messages.append("interrupted: what was left to do was cut short, and the best map so far was kept")
+    messages += [f"{mesh.name}: {note}" for mesh in (source, target) for note in mesh.notes]
     doubts = []
     if pair.search is None:
         doubts.append("no search was made (search.method=random), so the map may be mirrored or wrong")
@@ -195,8 +204,6 @@ def _warnings(source: Mesh, target: Mesh, pair: AlignedPair, confidence: float) 
             f"low confidence ({confidence:.2f}): a different map explains the shapes almost as well; "
             "look at the picture, and ask for --alternatives 3 to see the rivals"
         )
-    if pair.alignment.status == "interrupted":
-        messages.append("interrupted: the alignment was stopped early and its best point so far was kept")
     for doubt in doubts:
         python_warnings.warn(doubt, ConfidenceWarning, stacklevel=3)
     if pair.alignment.status == "failed":

@@ -327,7 +327,7 @@ def broken_files() -> list[tuple[str, bytes, str]]:
         ("truncated.ply", content["ply"][: len(content["ply"]) // 2], "damaged|promises"),
         ("truncated-binary.ply", content["binary ply"][:3000], "damaged|promises"),
         ("truncated.stl", content["stl"][:5000], "neither a whole text STL"),
-        ("header-only.ply", content["ply"].split(b"end_header")[0], "no PLY header"),
+        ("header-only.ply", content["ply"].split(b"end_header")[0], "has no end"),
         ("wrong-counts.off", content["off"].replace(b"162 320", b"163 320"), "promises 163 vertices"),
         (
             "fewer-faces.off",
@@ -401,7 +401,8 @@ def messages(folder: Path) -> list[tuple[str, str, str]]:
             verdict, message = "loaded", "; ".join(load_mesh(case.path).notes)
         except MeshError as error:
             verdict, message = "refused", str(error)
-        rows.append((case.name, verdict, message.replace(f"{folder}{os.sep}", "")))
+        message = message.replace(f"{folder}{os.sep}", "").replace(str(Path.cwd()), "…")
+        rows.append((case.name, verdict, message))
     return rows
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,60 +93,118 @@ class Clock:
         report(1.0, "")
 
 
+@dataclass
+class Reached:
+    """How far a pair has come: what Ctrl-C keeps, and what need not be done again after it."""
+
+    found: SearchResult | None = None
+    maps: PointMaps | None = None
+    rivals: tuple[PointMaps, ...] = ()
+    metric: tuple[Shape, Shape, float] | None = None
+    start: StartingRotation | None = None
+    alignment: AlignedRotation | None = None
+    last: PointMaps | None = None
+
+    @property
+    def has_map(self) -> bool:
+        """Whether there is a map to keep."""
+        return self.found is not None or self.alignment is not None
+
+
 def align_pair(source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock) -> AlignedPair:
     """Find the correspondence of two prepared shapes.
+
+    From the end of the search on, Ctrl-C cuts short what is left: the best so far is taken the shortest way to a whole
+    result, with the status "interrupted". Ctrl-C before it, or once more, is passed on.
 
     Parameters
     ----------
     source, target : prepared with the same options.
     clock : collects the timings.
     """
+    reached = Reached()
+    try:
+        return _aligned(source, target, backend, options, clock, reached)
+    except KeyboardInterrupt:
+        if not reached.has_map:
+            raise
+    if clock.progress is not None:
+        clock.progress("interrupted", 0.0, "ending with the best so far; Ctrl-C once more gives up")
+    pair = _aligned(source, target, backend, _cut_short(options), clock, reached)
+    return replace(pair, alignment=replace(pair.alignment, status="interrupted"))
+
+
+def _cut_short(options: Options) -> Options:
+    """Return options with which every step that has not been made yet is left out."""
+    changes: dict[str, object] = {"readout.refine": "none", "readout.steps": 0, "alignment.rounds": 0}
+    if options.spectrum.metric == "auto":
+        changes["spectrum.metric"] = "power"
+    return options.replace({**changes, "search.alternatives": 0})
+
+
+def _aligned(
+    source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock, reached: Reached
+) -> AlignedPair:
+    """Do what has not been reached yet."""
     count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
     band = funnel_band(count, options.alignment)
-    found: SearchResult | None = None
-    rivals: tuple[PointMaps, ...] = ()
     xi = options.spectrum.xi
     if options.search.method == "random":
-        start = StartingRotation(np.ones(count), random_rotation(count, options.seed))
+        reached.start = reached.start or StartingRotation(np.ones(count), random_rotation(count, options.seed))
     else:
-        with clock.stage("search") as report:
-            found = find_isometry(source, target, backend, options.search, lambda fraction: report(fraction, ""))
-        with clock.stage("up-sampling"):
-            maps = grown_maps(backend, source, target, found.functional, options)
-            rivals = tuple(
-                grown_maps(backend, source, target, rival, options)
-                for rival in found.rivals[: options.search.alternatives]
-            )
-        if options.spectrum.metric == "auto":
+        if reached.found is None:
+            with clock.stage("search") as report:
+                reached.found = find_isometry(source, target, backend, options.search, lambda part: report(part, ""))
+        maps = _grown(source, target, backend, options, clock, reached)
+        if options.spectrum.metric == "auto" and reached.metric is None:
             with clock.stage("metric"):
-                source, target, xi = choose_metric(backend, source, target, maps, band, options.spectrum)
-                count = min(count, source.descriptors.count, target.descriptors.count)
-                band = funnel_band(count, options.alignment)
-        with clock.stage("closed form"):
-            start = _closed_form(backend, source, target, maps, band, options)
+                reached.metric = choose_metric(backend, source, target, maps, band, options.spectrum)
+        if reached.metric is not None:
+            source, target, xi = reached.metric
+            count = min(count, source.descriptors.count, target.descriptors.count)
+            band = funnel_band(count, options.alignment)
+        if reached.start is None:
+            with clock.stage("closed form"):
+                reached.start = _closed_form(backend, source, target, maps, band, options)
+    start = reached.start
     descriptors = source.descriptors.head(count, start.signs), target.descriptors.head(count)
     with clock.stage("alignment") as report:
         problem = bind(source, target, descriptors, band, backend, options)
-        alignment = _optimised(problem, start, options, report)
-        functional = problem.functional_map(alignment.rotation)
+        reached.alignment = reached.alignment or _optimised(problem, start, options, report)
+        functional = problem.functional_map(reached.alignment.rotation)
     with clock.stage("read-out"):
-        maps, points = _final_maps(problem, alignment, descriptors, target, options)
-    return AlignedPair(maps, alignment, *descriptors, functional, xi, points, found, rivals, clock.seconds)
+        maps, points = _final_maps(problem, reached, descriptors, target, options)
+    found, rivals = reached.found, reached.rivals
+    return AlignedPair(maps, reached.alignment, *descriptors, functional, xi, points, found, rivals, clock.seconds)
+
+
+def _grown(
+    source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock, reached: Reached
+) -> PointMaps:
+    """Return the maps of the isometry that was found, and add those of its rivals to what was reached."""
+    assert reached.found is not None
+    with clock.stage("up-sampling"):
+        if reached.maps is None:
+            reached.maps = grown_maps(backend, source, target, reached.found.functional, options)
+        for rival in reached.found.rivals[len(reached.rivals) : options.search.alternatives]:
+            reached.rivals += (grown_maps(backend, source, target, rival, options),)
+    return reached.maps
 
 
 def _final_maps(
     problem: AlignmentProblem,
-    alignment: AlignedRotation,
+    reached: Reached,
     descriptors: tuple[Spectrum, Spectrum],
     target: Shape,
     options: Options,
 ) -> tuple[PointMaps, SurfacePoints | None]:
     """Return the maps after the last steps, and with the sub-vertex read-out the points that they stand for."""
-    backend, maps = problem.backend, alignment.maps
-    queries, embedding = embeddings(problem, alignment.rotation)
+    assert reached.alignment is not None
+    backend, maps = problem.backend, reached.last or reached.alignment.maps
+    queries, embedding = embeddings(problem, reached.alignment.rotation)
     for _ in range(options.readout.steps):
         queries, embedding = coherent_embeddings(backend, *descriptors, maps)
-        maps = point_maps(backend, queries, embedding)
+        reached.last = maps = point_maps(backend, queries, embedding)
     if not options.readout.subvertex:
         return maps, None
     return maps, closest_points(queries, embedding, target.mesh.faces, maps.target_of_source)

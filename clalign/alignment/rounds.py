@@ -114,9 +114,17 @@ def optimise_rotation(
         if status in ("interrupted", "failed"):
             break
         frozen = replace(frozen, weight=frozen.weight * options.decay)
-    last = problem.value_and_gradient(problem.pack(rotation), frozen)
-    maps = read_out(problem, rotation, readout, frozen.target_of_source)
-    return AlignedRotation(rotation, maps, tuple(history), {"total": last.total, **last.terms}, status)
+
+    def finished() -> AlignedRotation:
+        last = problem.value_and_gradient(problem.pack(rotation), frozen)
+        maps = read_out(problem, rotation, readout, frozen.target_of_source)
+        return AlignedRotation(rotation, maps, tuple(history), {"total": last.total, **last.terms}, status)
+
+    try:
+        return finished()
+    except KeyboardInterrupt:
+        # It is short, and without it the rounds would be lost.
+        return replace(finished(), status="interrupted")
 
 
 @dataclass(frozen=True)

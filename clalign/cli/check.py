@@ -220,6 +220,8 @@ def report(document: dict[str, Any]) -> list[str]:
 
 
 def _mesh_lines(mesh: dict[str, Any]) -> list[str]:
+    from clalign.geometry.mesh_defects import distinct
+
     if "error" in mesh:
         return [f"{mesh['path']}: not usable", *table([("refused", mesh["error"])])]
     file, used = mesh["file"], mesh.get("used")
@@ -234,8 +236,7 @@ def _mesh_lines(mesh: dict[str, Any]) -> list[str]:
         ]
     rows += [("note", note) for note in mesh["notes"]]
     rows += [(finding["severity"], finding["sentence"]) for finding in mesh["findings"]]
-    ways = dict.fromkeys(finding["way_out"] for finding in mesh["findings"] if finding["way_out"])
-    rows += [("way out", way) for way in ways]
+    rows += [("way out", way) for way in distinct([finding["way_out"] for finding in mesh["findings"]])]
     if used is not None:
         rows.append(("match", f"{_cost(mesh['forecast'])}, with a mesh of this size"))
     return [f"{mesh['path']}: {'usable' if mesh['usable'] else 'not usable'}", *table(rows)]

@@ -134,11 +134,16 @@ def run_job(
             terminal.note(f"{role}: {mesh.path}, {mesh.n_vertices:,} vertices, {mesh.n_faces:,} faces")
         result = _matched(source, target, options, args, terminal, interrupts)
     evaluation = None
-    if truths is not None:
-        from clalign.evaluation.errors import evaluate
+    try:
+        if truths is not None:
+            from clalign.evaluation.errors import evaluate
 
-        evaluation = evaluate(result, truths.truth, mirrored=truths.mirrored, seed=options.seed)
-    result.save(args.out, force=force, extra_files=_extra_files(result, evaluation, args, terminal))
+            evaluation = evaluate(result, truths.truth, mirrored=truths.mirrored, seed=options.seed)
+        result.save(args.out, force=force, extra_files=_extra_files(result, evaluation, args, terminal))
+    except KeyboardInterrupt:
+        # What is in the folder by now, if anything, is this result.
+        result.save(args.out, force=True)
+        terminal.warn(f"interrupted: {args.out} has the maps, without picture, page and measured errors")
     _show_summary(result, evaluation, args.out, terminal)
     return 0
 

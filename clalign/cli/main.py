@@ -14,7 +14,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
-from typing import Protocol, TextIO
+from typing import NoReturn, Protocol, TextIO
 
 from clalign import __version__
 from clalign.cli import bench, cache, check, collection, demo, doctor, evaluate, export, figures, match, show, transfer
@@ -110,6 +110,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_FAILED
 
 
+def program() -> NoReturn:
+    """Run the command line of this process and end it; after Ctrl-C no thread that still computes is waited for."""
+    status = main()
+    if status == EXIT_INTERRUPTED:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
+
+
 def exit_status(error: ClalignError) -> int:
     """Return 2 for input that cannot be used and 1 for a failure, which a full disk is however it is reported."""
     cause = error.__cause__
@@ -155,4 +165,4 @@ def _show_warning(
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

@@ -186,8 +186,16 @@ class SignedMethod:
         return outcome_of(result, time.perf_counter() - start)
 
 
+def uninterrupted(result: Correspondence) -> Correspondence:
+    """Return a result, or raise KeyboardInterrupt if Ctrl-C cut it short: what is measured must be whole."""
+    if result.interrupted:
+        raise KeyboardInterrupt
+    return result
+
+
 def outcome_of(result: Correspondence, seconds: float) -> Outcome:
     """Return what a benchmark keeps of a result."""
+    result = uninterrupted(result)
     barycentric = None
     if result.source_faces is not None and result.source_barycentric is not None:
         barycentric = (result.source_faces, result.source_barycentric)

@@ -6,7 +6,9 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import signal
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -176,7 +178,8 @@ def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[tuple[Record, Cu
                 while running or (waiting and not broken):
                     while waiting and len(running) < jobs and not broken:
                         try:
-                            running[pool.submit(measure, waiting[-1])] = waiting[-1]
+                            with _unheard_interrupts():
+                                running[pool.submit(measure, waiting[-1])] = waiting[-1]
                             waiting.pop()
                         except BrokenProcessPool:
                             broken = True
@@ -191,25 +194,54 @@ def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[tuple[Record, Cu
 
 @contextlib.contextmanager
 def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of processes, which are ended in the middle of their work if the block fails."""
     # Forking would copy an open OpenCL context, which hangs in the child.
     context = multiprocessing.get_context("spawn")
+    others = multiprocessing.active_children()
     with tempfile.TemporaryDirectory(prefix="clalign-kernels-", ignore_cleanup_errors=True) as kernels:
         pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker, initargs=(kernels,))
         try:
             yield pool
+        except BaseException:
+            for process in multiprocessing.active_children():
+                if process not in others:
+                    process.kill()
+            raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _unheard_interrupts() -> Iterator[None]:
+    """Hold Ctrl-C back while processes are started, which inherit that: to end the workers is left to this process."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _prepare_worker(folder: str) -> None:
     """Silence warnings, which the rows tell of, and give the worker its own cache of compiled kernels.
 
-    PoCL's breaks when several processes write to it.
+    PoCL's breaks when several processes write to it. The worker ends when the process that started it does, however
+    that ends: it would wait for tasks for ever.
     """
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     warnings.simplefilter("ignore")
     own = Path(folder) / str(os.getpid())
     own.mkdir()
     os.environ["POCL_CACHE_DIR"] = str(own)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from clalign.correspondence import Correspondence
 from clalign.errors import ClalignWarning
 
-from .methods import own_method
+from .methods import own_method, uninterrupted
 from .pairs import Problem
 
 if TYPE_CHECKING:
@@ -82,5 +82,5 @@ class VariantRuns:
             progress = None if self._watch is None else self._watch(name)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ClalignWarning)
-                self._done[name] = method.correspondence(self.problem, self._cache, progress)
+                self._done[name] = uninterrupted(method.correspondence(self.problem, self._cache, progress))
         return self._done[name]

@@ -28,6 +28,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
 
 from clalign.errors import ConvergenceError
+from clalign.geometry.workers import thread_pool
 
 logger = logging.getLogger(__name__)
 
@@ -101,7 +102,7 @@ def lowest_pairs(matrix: sparse.csc_matrix, count: int, unit: float, threads: in
     # Sorted now: scipy would otherwise sort it in place, when first asked to, in several threads at once.
     matrix.sum_duplicates()
     matrix.sort_indices()
-    with ThreadPoolExecutor(max(threads, 1)) as pool:
+    with thread_pool(max(threads, 1)) as pool:
         factors = _plan(matrix, count, unit, pool)
         borders = [0] + [(left.below + right.below) // 2 for left, right in itertools.pairwise(factors)]
         ends = [min(border + OVERLAP, count) for border in borders[1:]] + [count]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -127,5 +128,11 @@ class Diagnosis:
         if self.surface is not None and not refused:
             return self.surface
         reasons = "; ".join(defect.sentence() for defect in refused)
-        advice = "; ".join(dict.fromkeys(way for way in (defect.way_out(path) for defect in refused) if way))
+        advice = "; ".join(distinct([defect.way_out(path) for defect in refused]))
         raise MeshError(f"{path or name}: {reasons}. Way out: {advice}.")
+
+
+def distinct(ways: Sequence[str]) -> list[str]:
+    """Return advice in its order, each once, without what stands word for word in another."""
+    once = list(dict.fromkeys(way for way in ways if way))
+    return [way for way in once if not any(way in other for other in once if other != way)]

@@ -96,7 +96,9 @@ def _read_off(content: bytes) -> FileMesh:
     lines = _text_lines(content)
     header = re.match(rb"(?:ST)?C?N?(4?n?)(?:OFF|off)\b\s*(?P<rest>.*)", lines[0] if lines else b"")
     if header is None:
-        raise _FormatError("does not begin with OFF, so it is no OFF file; is the suffix right?")
+        raise _FormatError(
+            "does not begin with OFF, so it is no OFF file; is the suffix right? Otherwise export it again"
+        )
     if header[1] or header["rest"].upper().startswith(b"BINARY"):
         raise _FormatError("is an OFF variant (4OFF, nOFF or binary) that is not read; export it as plain OFF or PLY")
     rows = ([header["rest"]] if header["rest"] else []) + lines[1:]
@@ -107,7 +109,7 @@ def _read_off(content: bytes) -> FileMesh:
     if len(rows) - 1 != n_vertices + n_faces:
         raise _FormatError(
             f"its header promises {n_vertices} vertices and {n_faces} faces, but {len(rows) - 1} lines follow; "
-            "the file is truncated or its counts are wrong"
+            "the file is truncated or its counts are wrong; export it again"
         )
     vertex_rows = [row.split() for row in rows[1 : n_vertices + 1]]
     _same_width(vertex_rows)
@@ -118,7 +120,8 @@ def _read_off(content: bytes) -> FileMesh:
         size = _integer(words[0], "face", number)
         if not 3 <= size < len(words):
             raise _FormatError(
-                f"face {number} is given as {_shown(row)}: expected a count of 3 or more and as many numbers"
+                f"face {number} is given as {_shown(row)}: expected a count of 3 or more and as many "
+                "numbers; mend that line, or export the mesh again"
             )
         polygons.append(words[1 : size + 1])
     return FileMesh(vertices, _triangles(polygons))
@@ -136,12 +139,16 @@ def _read_obj(content: bytes) -> FileMesh:
             positions.append(words[1:4])
         elif words[0] == b"f":
             if len(words) < 4:
-                raise _FormatError(f"face {len(polygons)} is given as {_shown(line)}: a face needs three corners")
+                raise _FormatError(
+                    f"face {len(polygons)} is given as {_shown(line)}: a face needs three corners; "
+                    "mend or remove that line"
+                )
             polygons.append([word.partition(b"/")[0] for word in words[1:]])
             seen.append(len(positions))
     if not positions and not polygons:
         raise _FormatError(
-            "has neither vertices (`v` lines) nor faces (`f` lines), so it is no OBJ mesh; is the suffix right?"
+            "has neither vertices (`v` lines) nor faces (`f` lines), so it is no OBJ mesh; is the suffix right? "
+            "Otherwise export it again"
         )
     vertices = _positions(positions)
     triangles = _triangles(polygons)
@@ -154,8 +161,10 @@ def _read_obj(content: bytes) -> FileMesh:
 def _read_ply(content: bytes) -> FileMesh:
     """PLY, text or binary, through trimesh; the counts are those of the header."""
     header_end = re.search(rb"end_header\r?\n?", content)
-    if not content.startswith(b"ply") or header_end is None:
-        raise _FormatError("has no PLY header, so it is no PLY file; is the suffix right?")
+    if not content.startswith(b"ply"):
+        raise _FormatError("has no PLY header, so it is no PLY file; is the suffix right? Otherwise export it again")
+    if header_end is None:
+        raise _FormatError("its PLY header has no end (end_header), so the file is truncated; export it again")
     header, body = content[: header_end.start()], content[header_end.end() :]
     elements = re.findall(rb"^\s*element\s+(\w+)\s+(\d{1,15})\s*$", header, re.MULTILINE)
     counts = {name: int(count) for name, count in elements}
@@ -165,11 +174,15 @@ def _read_ply(content: bytes) -> FileMesh:
     promise = f"its header promises {n_vertices} vertices and {n_faces} faces"
     # Every vertex takes at least three bytes: counts beyond that would only make the reader ask for absurd memory.
     if 3 * n_vertices + n_faces > len(body):
-        raise _FormatError(f"{promise}, more than the file can hold; the file is truncated or its counts are wrong")
+        raise _FormatError(
+            f"{promise}, more than the file can hold; the file is truncated or its counts are wrong; export it again"
+        )
     if re.search(rb"^\s*format\s+ascii", header, re.MULTILINE):
         n_lines = sum(1 for line in body.splitlines() if line.strip())
         if n_lines != sum(counts.values()):
-            raise _FormatError(f"{promise}, but {n_lines} lines follow; the file is truncated or its counts are wrong")
+            raise _FormatError(
+                f"{promise}, but {n_lines} lines follow; the file is truncated or its counts are wrong; export it again"
+            )
     # Comments may be in any encoding, which trimesh does not expect.
     plain_header = (header + header_end[0]).decode("ascii", errors="replace").encode("ascii", errors="replace")
     from trimesh.exchange.ply import load_ply
@@ -180,7 +193,7 @@ def _read_ply(content: bytes) -> FileMesh:
     if len(vertices) != n_vertices or len(faces) < n_faces:
         raise _FormatError(
             f"{promise}, but {len(vertices)} vertices and {len(faces)} triangles could be read; the file is truncated, "
-            "its counts are wrong, or it has faces with fewer than three corners"
+            "its counts are wrong, or it has faces with fewer than three corners; export it again"
         )
     return FileMesh(vertices, faces)
 
@@ -196,13 +209,14 @@ def _read_stl(content: bytes) -> FileMesh:
         if not (content.lstrip().lower().startswith(b"solid") and b"facet" in content and b"endsolid" in content):
             raise _FormatError(
                 f"is neither a whole text STL (solid ... endsolid) nor a binary one ({n_facets} facets would need "
-                f"{84 + 50 * n_facets} bytes, the file has {len(content)}); it is truncated, or is the suffix wrong?"
+                f"{84 + 50 * n_facets} bytes, the file has {len(content)}); it is truncated or has a wrong "
+                "suffix; export it again"
             )
     loaded = _quietly(load_stl, content)
     corners = _loaded_vertices(loaded)
     faces = _loaded_faces(loaded)
     if not len(faces):
-        raise _FormatError("has no facets, or is no STL file; is the suffix right?")
+        raise _FormatError("has no facets, or is no STL file; is the suffix right? Otherwise export it again")
     first, vertex_of_corner = merge_positions(corners)
     note = (
         f"an STL file has no vertex numbers: its {len(corners)} corners were merged by position into {len(first)} "
@@ -233,7 +247,7 @@ def _same_width(rows: list[list[bytes]]) -> None:
         if len(words) != len(rows[0]):
             raise _FormatError(
                 f"vertex {number} is given as {_shown(b' '.join(words))}, {len(words)} numbers where vertex 0 has "
-                f"{len(rows[0])}; the counts in the header may be wrong"
+                f"{len(rows[0])}; the counts in the header may be wrong; export it again"
             )
 
 
@@ -249,7 +263,10 @@ def _positions(rows: list[list[bytes]]) -> NDArray[np.float64]:
         except ValueError:
             complete = False
         if not complete:
-            raise _FormatError(f"vertex {number} is given as {_shown(b' '.join(row))}: expected three numbers")
+            raise _FormatError(
+                f"vertex {number} is given as {_shown(b' '.join(row))}: expected three numbers; "
+                "mend that line, or export the mesh again"
+            )
     raise _FormatError("its vertex positions are not numbers; export it again")
 
 
@@ -271,7 +288,10 @@ _NO_FACES = np.zeros((0, 3), dtype=np.int64)
 def _integer(word: bytes, what: str, number: int) -> int:
     """One vertex number, or the reason why the word is none."""
     if not re.fullmatch(rb"[+-]?\d{1,18}", word):
-        raise _FormatError(f"{what} {number} contains {_shown(word)} where a vertex number is expected")
+        raise _FormatError(
+            f"{what} {number} contains {_shown(word)} where a vertex number is expected; "
+            "mend that line, or export the mesh again"
+        )
     return int(word)
 
 

@@ -6,7 +6,6 @@ import dataclasses
 import logging
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -30,7 +29,7 @@ from .operators import (
     stiffness,
 )
 from .spectra import Spectrum, solve
-from .workers import processor_count, single_threaded_blas
+from .workers import processor_count, single_threaded_blas, thread_pool
 
 logger = logging.getLogger(__name__)
 
@@ -118,21 +117,16 @@ def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | No
     """
     with ExitStack() as stack:
         stack.enter_context(single_threaded_blas())
-        pool = stack.enter_context(ThreadPoolExecutor(max(min(len(meshes), processor_count()), 1)))
+        pool = stack.enter_context(thread_pool(max(min(len(meshes), processor_count()), 1)))
         distances = [
             pool.submit(_distances, mesh, options.geodesics, stack.enter_context(HeatProcess()), cache)
             for mesh in meshes
         ]
-        try:
-            spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
-            return [
-                _shape(mesh, *spectra, geodesics.result())
-                for mesh, spectra, geodesics in zip(meshes, spectral, distances, strict=True)
-            ]
-        except BaseException:
-            # Leaving the block waits for the threads: let them not begin the distances of further meshes.
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
+        return [
+            _shape(mesh, *spectra, geodesics.result())
+            for mesh, spectra, geodesics in zip(meshes, spectral, distances, strict=True)
+        ]
 
 
 def with_descriptors(shape: Shape, options: SpectrumOptions, cache: ShapeCache | None = None) -> Shape:

@@ -143,10 +143,7 @@ def surface_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
 
 def export_numpy(correspondence: Correspondence, folder: str | Path) -> list[Path]:
     """Write ``match.npz`` with the arrays of `surface_arrays`."""
-    path = _ready(folder) / "match.npz"
-    arrays: dict[str, Any] = dict(surface_arrays(correspondence))
-    np.savez_compressed(path, **arrays)
-    return [path]
+    return _save_arrays(_ready(folder) / "match.npz", surface_arrays(correspondence))
 
 
 def export_matlab(correspondence: Correspondence, folder: str | Path) -> list[Path]:
@@ -209,10 +206,7 @@ def pyfm_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
 
 def export_pyfm(correspondence: Correspondence, folder: str | Path) -> list[Path]:
     """Write ``pyfm.npz`` with the arrays of `pyfm_arrays`."""
-    path = _ready(folder) / "pyfm.npz"
-    arrays: dict[str, Any] = dict(pyfm_arrays(correspondence))
-    np.savez_compressed(path, **arrays)
-    return [path]
+    return _save_arrays(_ready(folder) / "pyfm.npz", pyfm_arrays(correspondence))
 
 
 def to_pyfm(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.float64]]:
@@ -227,14 +221,11 @@ def to_pyfm(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.float6
         from pyFM.mesh import TriMesh
     except ImportError as error:
         raise InputError("pyFM is not installed; install it with: pip install pyfmaps") from error
-    import scipy.sparse
-
     arrays = pyfm_arrays(correspondence)
     meshes = []
     for number, mesh in (("1", correspondence.source), ("2", correspondence.target)):
         made = TriMesh(mesh.vertices, mesh.faces)
-        made.W = stiffness(mesh.vertices, mesh.faces)
-        made.A = scipy.sparse.diags(arrays[f"A{number}"], format="csc")
+        made.W, made.A = _matrices(mesh, arrays[f"A{number}"])
         made.eigenvalues, made.eigenvectors = arrays[f"evals{number}"], arrays[f"evects{number}"]
         meshes.append(made)
     return meshes[0], meshes[1], arrays["FM_12"]
@@ -259,10 +250,7 @@ def geomfum_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
 
 def export_geomfum(correspondence: Correspondence, folder: str | Path) -> list[Path]:
     """Write ``geomfum.npz`` with the arrays of `geomfum_arrays`."""
-    path = _ready(folder) / "geomfum.npz"
-    arrays: dict[str, Any] = dict(geomfum_arrays(correspondence))
-    np.savez_compressed(path, **arrays)
-    return [path]
+    return _save_arrays(_ready(folder) / "geomfum.npz", geomfum_arrays(correspondence))
 
 
 def to_geomfum(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.float64]]:
@@ -279,17 +267,12 @@ def to_geomfum(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.flo
         from geomfum.shape import TriangleMesh
     except ImportError as error:
         raise InputError("geomfum is not installed; install it with: pip install geomfum") from error
-    import scipy.sparse
-
     arrays = geomfum_arrays(correspondence)
     made = []
     for letter, mesh in (("a", correspondence.source), ("b", correspondence.target)):
         shape = TriangleMesh(mesh.vertices, mesh.faces)
-        shape.laplacian = Laplacian(
-            shape=shape,
-            stiffness_matrix=stiffness(mesh.vertices, mesh.faces).tocsc(),
-            mass_matrix=scipy.sparse.diags(arrays[f"mass_{letter}"], format="csc"),
-        )
+        weights, mass = _matrices(mesh, arrays[f"mass_{letter}"])
+        shape.laplacian = Laplacian(shape=shape, stiffness_matrix=weights, mass_matrix=mass)
         shape.set_basis(LaplaceEigenBasis(shape, arrays[f"basis_{letter}_vals"], arrays[f"basis_{letter}_vecs"]))
         made.append(shape)
     return made[0], made[1], arrays["fmap_matrix"]
@@ -312,6 +295,18 @@ def _ready(folder: str | Path) -> Path:
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def _save_arrays(path: Path, arrays: dict[str, Any]) -> list[Path]:
+    np.savez_compressed(path, **arrays)
+    return [path]
+
+
+def _matrices(mesh: Mesh, mass: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Return W and A of a mesh as the sparse matrices that other libraries hold."""
+    import scipy.sparse
+
+    return stiffness(mesh.vertices, mesh.faces).tocsc(), scipy.sparse.diags(mass, format="csc")
 
 
 def _checkers() -> NDArray[np.uint8]:

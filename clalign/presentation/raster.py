@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-_BLOCK = 1 << 18
+_BLOCK = 1 << 17
 _DEPTH_LEVELS = 1 << 30
 _KEY_LIGHT = np.array([-0.38, 0.52, 0.76])
 _FILL_LIGHT = np.array([0.78, 0.10, 0.42])
@@ -41,23 +42,17 @@ def rasterise(
     """
     width, height = size[0] * supersample, size[1] * supersample
     points = np.asarray(vertices, dtype=np.float64) * supersample
-    corners = np.asarray(faces, dtype=np.int64)
-    planes = _weight_planes(points, corners)
-    face_of_pixel = _visible_faces(points, corners, planes, width, height)
-    image = np.empty((width * height, 3), dtype=np.float32)
-    image[:] = _linear(np.asarray(background, dtype=np.float32))
-    hit = np.flatnonzero(face_of_pixel >= 0)
-    if hit.size:
-        owner = face_of_pixel[hit]
-        triangles = corners[owner]
-        place = np.stack([hit % width + 0.5, hit // width + 0.5, np.ones(hit.size)], axis=1)
-        upper = np.einsum("pwc,pc->pw", planes[owner], place)
-        weights = np.concatenate([1.0 - upper.sum(axis=1, keepdims=True), upper], axis=1).astype(np.float32)
-        albedo = _linear(np.asarray(colours, dtype=np.float32))
-        normals = vertex_normals(points, corners).astype(np.float32)
-        image[hit] = _shade(_blend(weights, albedo, triangles), _blend(weights, normals, triangles))
-    blocks = image.reshape(size[1], supersample, size[0], supersample, 3).mean(axis=(1, 3))
-    return np.asarray(np.rint(_encoded(blocks) * 255.0)[::-1], dtype=np.uint8)
+    scene = _scene(points, np.asarray(faces, dtype=np.int64), np.asarray(colours, dtype=np.float32), width, height)
+    empty = _linear(np.asarray(background, dtype=np.float32))
+    image = np.empty((size[1], size[0], 3), dtype=np.uint8)
+    # Rows of the finished image at a time: a picture that a shape fills would take a gigabyte at once.
+    step = max(1, _BLOCK // (width * supersample))
+    for first in range(0, size[1], step):
+        last = min(first + step, size[1])
+        lit = _lit_rows(scene, first * supersample, last * supersample, width, empty)
+        blocks = lit.reshape(last - first, supersample, size[0], supersample, 3).mean(axis=(1, 3))
+        image[first:last] = np.rint(_encoded(blocks) * 255.0)
+    return np.ascontiguousarray(image[::-1])
 
 
 def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
@@ -113,6 +108,45 @@ def _chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
 
+@dataclass(frozen=True)
+class _Scene:
+    """What drawing reads of a mesh, in pixels of the image before averaging.
+
+    Attributes
+    ----------
+    faces : (m, 3) vertices of the faces.
+    planes : (m, 2, 3), see `_weight_planes`.
+    low, high : (m, 2) first pixel of each face's bounding box and the one after its last, as column and row.
+    depths : (n,) from 0 to `_DEPTH_LEVELS` - 1, the nearest being the largest.
+    albedo, normals : (n, 3) linear colour and unit normal of each vertex.
+    """
+
+    faces: NDArray[np.int64]
+    planes: NDArray[np.float64]
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+    depths: NDArray[np.float64]
+    albedo: NDArray[np.float32]
+    normals: NDArray[np.float32]
+
+
+def _scene(
+    points: NDArray[np.float64], faces: NDArray[np.int64], colours: NDArray[np.float32], width: int, height: int
+) -> _Scene:
+    corners = points[faces][:, :, :2]
+    depths = points[:, 2] - points[:, 2].min(initial=0.0)
+    depths *= (_DEPTH_LEVELS - 1) / (depths.max(initial=0.0) or 1.0)
+    return _Scene(
+        faces=faces,
+        planes=_weight_planes(points, faces),
+        low=np.clip(np.ceil(corners.min(axis=1) - 0.5), 0, (width, height)).astype(np.int64),
+        high=np.clip(np.floor(corners.max(axis=1) + 0.5), 0, (width, height)).astype(np.int64),
+        depths=depths,
+        albedo=_linear(colours),
+        normals=vertex_normals(points, faces).astype(np.float32),
+    )
+
+
 def _weight_planes(points: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return (m, 2, 3): the second and third barycentric coordinate of each face as a plane over (x, y, 1).
 
@@ -130,44 +164,49 @@ def _weight_planes(points: NDArray[np.float64], faces: NDArray[np.int64]) -> NDA
     return np.asarray(planes)
 
 
-def _visible_faces(
-    points: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    planes: NDArray[np.float64],
-    width: int,
-    height: int,
-) -> NDArray[np.int64]:
-    """Return for every pixel (row-major from the lower edge) the frontmost face at its centre, or -1."""
-    buffer = np.full(width * height, -1, dtype=np.int64)
-    corners = points[faces]
-    low = np.clip(np.ceil(corners[:, :, :2].min(axis=1) - 0.5), 0, (width, height)).astype(np.int64)
-    high = np.clip(np.floor(corners[:, :, :2].max(axis=1) + 0.5), 0, (width, height)).astype(np.int64)
-    spans = np.maximum(high - low, 0)
-    counts = spans.prod(axis=1)
-    depths = points[:, 2] - points[:, 2].min(initial=0.0)
-    depths *= (_DEPTH_LEVELS - 1) / (depths.max(initial=0.0) or 1.0)
-    corner_depths = depths[faces]
+def _lit_rows(scene: _Scene, first: int, last: int, width: int, background: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the linear colours ((last - first) * width, 3) of some rows, counted from the lower edge."""
+    face_of_pixel = _visible_faces(scene, first, last, width)
+    lit = np.empty((face_of_pixel.size, 3), dtype=np.float32)
+    lit[:] = background
+    hit = np.flatnonzero(face_of_pixel >= 0)
+    owner = face_of_pixel[hit]
+    triangles = scene.faces[owner]
+    place = np.stack([hit % width + 0.5, hit // width + first + 0.5, np.ones(hit.size)], axis=1)
+    upper = np.einsum("pwc,pc->pw", scene.planes[owner], place)
+    weights = np.concatenate([1.0 - upper.sum(axis=1, keepdims=True), upper], axis=1).astype(np.float32)
+    lit[hit] = _shade(_blend(weights, scene.albedo, triangles), _blend(weights, scene.normals, triangles))
+    return lit
+
+
+def _visible_faces(scene: _Scene, first: int, last: int, width: int) -> NDArray[np.int64]:
+    """Return for every pixel of some rows (row-major from the lower edge) the frontmost face at its centre, or -1."""
+    buffer = np.full(width * (last - first), -1, dtype=np.int64)
+    columns = np.maximum(scene.high[:, 0] - scene.low[:, 0], 0)
+    lowest = np.maximum(scene.low[:, 1], first)
+    counts = columns * np.maximum(np.minimum(scene.high[:, 1], last) - lowest, 0)
     order = np.flatnonzero(counts)
     block_of = np.cumsum(counts[order]) // _BLOCK
     for block in np.split(order, np.flatnonzero(np.diff(block_of)) + 1):
         repeats = counts[block]
+        planes = scene.planes[block]
         place = np.arange(repeats.sum()) - np.repeat(np.cumsum(repeats) - repeats, repeats)
-        row, column = np.divmod(place, np.repeat(spans[block, 0], repeats))
-        x = column + np.repeat(low[block, 0], repeats)
-        y = row + np.repeat(low[block, 1], repeats)
+        row, column = np.divmod(place, np.repeat(columns[block], repeats))
+        x = column + np.repeat(scene.low[block, 0], repeats)
+        y = row + np.repeat(lowest[block], repeats)
         second, third = (
-            np.repeat(planes[block, weight, 0], repeats) * (x + 0.5)
-            + np.repeat(planes[block, weight, 1], repeats) * (y + 0.5)
-            + np.repeat(planes[block, weight, 2], repeats)
+            np.repeat(planes[:, weight, 0], repeats) * (x + 0.5)
+            + np.repeat(planes[:, weight, 1], repeats) * (y + 0.5)
+            + np.repeat(planes[:, weight, 2], repeats)
             for weight in range(2)
         )
         kept = np.flatnonzero((second >= 0) & (third >= 0) & (second + third <= 1))
         owner = np.repeat(block, repeats)[kept]
-        front = corner_depths[owner]
+        front = scene.depths[scene.faces[owner]]
         level = front[:, 0] + second[kept] * (front[:, 1] - front[:, 0]) + third[kept] * (front[:, 2] - front[:, 0])
         # Depth above, face below: one integer maximum finds the frontmost face, whatever the order of drawing.
         key = (np.clip(level, 0, _DEPTH_LEVELS - 1).astype(np.int64) << 32) | owner
-        np.maximum.at(buffer, y[kept] * width + x[kept], key)
+        np.maximum.at(buffer, (y[kept] - first) * width + x[kept], key)
     return np.where(buffer >= 0, buffer & 0xFFFFFFFF, -1)
 
 

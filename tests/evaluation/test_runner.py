@@ -2,12 +2,14 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import datasets
 import numpy as np
 import pytest
 from datasets import NearestMethod
 
+from clalign.alignment import rounds
 from clalign.errors import OptionError, ResultError
 from clalign.evaluation.errors import THRESHOLDS
 from clalign.evaluation.layouts import Layout, animals
@@ -97,6 +99,28 @@ def test_an_interrupted_run_goes_on(layouts: tuple[Layout, ...], tmp_path: Path)
     assert log.read_text(encoding="ascii").splitlines() == ["egg1 egg2", "egg1 egg3", "egg2 egg3"]
     assert [row.status for row in finished.records] == ["ok"] * 3
     assert len(read_records(file)) == 3
+
+
+@pytest.mark.filterwarnings("ignore::clalign.errors.ConfidenceWarning")
+def test_a_match_that_was_cut_short_is_no_row(
+    layouts: tuple[Layout, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`match` returns after Ctrl-C; a benchmark must end there and not measure what came of it."""
+    plain, calls = rounds.read_out, 0
+
+    def interrupted(*arguments: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 2:
+            raise KeyboardInterrupt
+        return plain(*arguments)
+
+    monkeypatch.setattr(rounds, "read_out", interrupted)
+    quick = {"search.method": "random", "alignment.rounds": 0, "spectrum.descriptors": 24, "spectrum.basis": 16}
+    options = Options().replace({**quick, "spectrum.refinement": 16, "engine.backend": "reference"})
+    with pytest.raises(KeyboardInterrupt):
+        run(layouts, [AlignMethod("own", options)], tmp_path / "out")
+    assert [row.pair for row in read_records(tmp_path / "out" / RECORDS_FILE)] == ["egg1 egg2"]
 
 
 def test_a_failing_pair_is_recorded_and_tried_again(layouts: tuple[Layout, ...], tmp_path: Path) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import pkgutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from quick import Run, left_in
+from quick import QUICK, Run, left_in
 
 from clalign.alignment.problem import AlignmentProblem, Evaluation
 from clalign.correspondence import Correspondence
@@ -20,11 +22,9 @@ from clalign.correspondence import Correspondence
         "clalign.matching.prepare_pair",
         "clalign.matching.open_backend",
         "clalign.alignment.pipeline.bind",
-        "clalign.correspondence.write_map",
-        "clalign.storage._flush",
     ],
 )
-def test_before_and_after_the_alignment_nothing_is_kept(
+def test_before_the_first_map_nothing_is_kept(
     match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
     def interrupted(*_: Any, **__: Any) -> None:
@@ -37,6 +37,105 @@ def test_before_and_after_the_alignment_nothing_is_kept(
     assert shown.err.splitlines()[-1].startswith("interrupted")
     assert "Traceback" not in shown.err
     assert left_in(tmp_path) == []
+
+
+#: A search and every step that can follow it.
+WHOLE = [
+    *("--set", "search.method=signs", "--set", "spectrum.metric=auto", "--set", "spectrum.refinement=30"),
+    *("--set", "readout.steps=1", "--set", "readout.subvertex=true", "--set", "search.alternatives=1", "--no-cache"),
+]
+
+
+def once(monkeypatch: pytest.MonkeyPatch, place: str, after: int = 0) -> None:
+    """Let the function at `place` be interrupted at its call number `after`, and work before and after that."""
+    room, _, name = place.rpartition(".")
+    owner = pkgutil.resolve_name(room)
+    plain, calls = getattr(owner, name), 0
+
+    def interrupted(*arguments: Any, **named: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == after + 1:
+            raise KeyboardInterrupt
+        return plain(*arguments, **named)
+
+    monkeypatch.setattr(owner, name, interrupted)
+
+
+@pytest.mark.parametrize("room", ["clalign.alignment.pipeline", "clalign.alignment.search.find"])
+def test_during_the_search_nothing_is_kept(
+    match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: str
+) -> None:
+    once(monkeypatch, f"{room}.{'find_isometry' if room.endswith('pipeline') else 'ranked'}")
+    shown = match(tmp_path / "out", *WHOLE)
+    assert (shown.status, shown.out) == (130, "")
+    assert shown.err.splitlines()[-1] == "interrupted: there was nothing to keep yet"
+    assert left_in(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("place", "after"),
+    [
+        ("clalign.alignment.pipeline.grown_maps", 0),
+        ("clalign.alignment.pipeline.best_grown", 0),
+        ("clalign.alignment.pipeline.grown_maps", 1),
+        ("clalign.alignment.pipeline.choose_metric", 0),
+        ("clalign.alignment.pipeline.closed_form_rotation", 0),
+        ("clalign.alignment.pipeline.bind", 0),
+        ("clalign.alignment.rounds.hard_map", 0),
+        ("clalign.alignment.rounds.read_out", 0),
+        ("clalign.alignment.problem.AlignmentProblem.functional_map", 0),
+        ("clalign.alignment.pipeline.coherent_embeddings", 0),
+        ("clalign.alignment.pipeline.point_maps", 0),
+        ("clalign.alignment.pipeline.closest_points", 0),
+        ("clalign.matching.local_distortion", 0),
+    ],
+)
+def test_from_the_first_map_on_the_best_is_kept(
+    match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, after: int
+) -> None:
+    once(monkeypatch, place, after)
+    shown = match(tmp_path / "out", *WHOLE)
+    assert shown.status == 0, shown.err
+    assert "warning: interrupted: " in shown.err
+    result = Correspondence.load(tmp_path / "out")
+    assert result.warnings[0].startswith("interrupted: ")
+    assert result.interrupted
+    # The pair is one shape bent: vertex i is vertex i, and even the search's map is close to that.
+    missed = result.source.vertices[result.target_of_source] - result.source.vertices
+    assert np.linalg.norm(missed, axis=1).mean() < 0.1
+    assert result.functional_map.shape[0] == result.target_basis.count
+    assert np.isfinite(result.losses["total"])
+
+
+def test_a_second_interrupt_gives_up(match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    once(monkeypatch, "clalign.alignment.pipeline.best_grown")
+    once(monkeypatch, "clalign.alignment.pipeline.closed_form_rotation")
+    shown = match(tmp_path / "out", *WHOLE)
+    assert shown.status == 130
+    assert left_in(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        "clalign.correspondence.write_map",
+        "clalign.storage._flush",
+        "clalign.presentation.picture.match_image",
+        "clalign.presentation.report.page._page",
+    ],
+)
+def test_after_the_match_it_is_written_without_the_rest(
+    run: Run, pair: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    once(monkeypatch, place)
+    quick = [word for word in QUICK if word not in ("--no-picture", "--no-report")]
+    shown = run("match", *pair, "--out", tmp_path / "out", "--device", "reference", "--no-cache", *quick)
+    assert shown.status == 0, shown.err
+    assert "has the maps, without picture, page" in shown.err
+    assert (Correspondence.load(tmp_path / "out").target_of_source >= 0).all()
+    assert not (tmp_path / "out" / "report.html").exists()
+    assert [name for name in left_in(tmp_path) if name.startswith(".")] == []
 
 
 @pytest.mark.parametrize("number", [3, 8, 20])

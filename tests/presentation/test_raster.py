@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -77,3 +78,17 @@ def test_png_is_read_back_by_another_library(tmp_path: Path, rng: np.random.Gene
 def test_png_refuses_other_arrays() -> None:
     with pytest.raises(ValueError, match=r"\(4, 4\)"):
         png_bytes(np.zeros((4, 4), dtype=np.uint8))
+
+
+def test_a_picture_that_a_shape_fills_needs_little_memory() -> None:
+    vertices, faces = shapes.icosphere(3)
+    tracemalloc.start()
+    try:
+        image = rasterise(vertices * 700 + 700, faces, np.full((len(vertices), 3), 0.5), (1400, 1400))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    covered = (image != 255).any(axis=2)
+    assert covered.mean() == pytest.approx(np.pi / 4, abs=0.01)
+    # The image is 6 MB; one double for each of the 7.8 million rays would be 63 MB.
+    assert peak < 60e6

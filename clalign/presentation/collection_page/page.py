@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import html
-import os
-from importlib import resources
 from pathlib import Path
 from urllib.parse import quote
 
@@ -13,6 +11,7 @@ from clalign.collection.rows import PairRow
 from clalign.correspondence import Correspondence
 from clalign.presentation.collection_page.carried import portraits
 from clalign.presentation.collection_page.matrix import PAGE_FILE, legends, matrix, page_link, switches
+from clalign.presentation.html_page import file_text, fill, head, write_page
 from clalign.presentation.raster import write_png
 from clalign.presentation.report import write_report
 
@@ -40,9 +39,11 @@ def write_collection_page(collection: Collection, path: str | Path, *, pictures:
     path = Path(path)
     drawn = _draw_all(collection, path.parent) if pictures else {}
     names = [row.name for row in collection.shapes]
+    title = html.escape(collection.folder.name)
+    style = file_text(_REPORT, "page.css") + file_text(__package__, "page.css")
     parts = {
-        "title": html.escape(collection.folder.name),
-        "style": _text("page.css", _REPORT) + _text("page.css"),
+        "head": head(title, style, "'self' file: data:"),
+        "title": title,
         "facts": _facts(collection),
         "failures": _failures(collection),
         "colouring": _colouring(drawn),
@@ -52,14 +53,7 @@ def write_collection_page(collection: Collection, path: str | Path, *, pictures:
         "matrix": f'<div id="matrix" data-measure="confidence">{matrix(collection, names)}</div>',
         "look": _worth_a_look(collection),
     }
-    pieces = _text("page.html").split("{{")
-    filled = [pieces[0]]
-    for piece in pieces[1:]:
-        name, rest = piece.split("}}", 1)
-        filled += [parts[name], rest]
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    unfinished.write_text("".join(filled), encoding="utf-8")
-    os.replace(unfinished, path)
+    write_page(path, fill(file_text(__package__, "page.html"), parts))
 
 
 def _draw_all(collection: Collection, folder: Path) -> dict[str, tuple[str, ...]]:
@@ -142,7 +136,3 @@ def _line(collection: Collection, row: PairRow) -> str:
         for value in (row.confidence, row.cycle_error, row.network_error)
     )
     return f'<tr><td>{first}</td><td>{row.kind}</td>{numbers}<td class="wrap">{html.escape(row.warnings)}</td></tr>'
-
-
-def _text(name: str, package: str = __name__.rpartition(".")[0]) -> str:
-    return resources.files(package).joinpath(name).read_text(encoding="utf-8")

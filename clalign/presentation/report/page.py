@@ -5,9 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
-import os
 import zlib
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 from clalign.correspondence import Correspondence
 from clalign.evaluation.errors import Evaluation
 from clalign.presentation.camera import Up
+from clalign.presentation.html_page import file_text, fill, head, write_page
 from clalign.presentation.picture import match_png
 from clalign.presentation.report.payload import Payload, build_payload
 
@@ -50,20 +49,14 @@ def write_report(
     """
     payload = build_payload(correspondence, evaluation=evaluation, functions=functions, up=up)
     picture = match_png(correspondence, height=480, up=up)
-    page = _page(payload, picture)
-    path = Path(path)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        unfinished.write_text(page, encoding="utf-8")
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    write_page(Path(path), _page(payload, picture))
 
 
 def _page(payload: Payload, picture: bytes) -> str:
+    title = html.escape(f"{payload.facts['source']['name']} → {payload.facts['target']['name']}")
     parts = {
-        "title": html.escape(f"{payload.facts['source']['name']} → {payload.facts['target']['name']}"),
-        "style": _text(_STYLE),
+        "head": head(title, _text(_STYLE), "data:"),
+        "title": title,
         "licence": html.escape(_text(_LICENCE)),
         "picture": base64.b64encode(picture).decode("ascii"),
         # The facts hold names and messages from outside: no "<" may end the script element they stand in.
@@ -72,13 +65,7 @@ def _page(payload: Payload, picture: bytes) -> str:
         "library": _text(_LIBRARY),
         "program": "\n".join(_text(name) for name in _PROGRAM),
     }
-    page = _text("page.html")
-    pieces = page.split("{{")
-    filled = [pieces[0]]
-    for piece in pieces[1:]:
-        name, rest = piece.split("}}", 1)
-        filled += [parts[name], rest]
-    return "".join(filled)
+    return fill(_text("page.html"), parts)
 
 
 def _array(name: str, values: NDArray[np.generic]) -> str:
@@ -90,4 +77,4 @@ def _array(name: str, values: NDArray[np.generic]) -> str:
 
 
 def _text(name: str) -> str:
-    return resources.files(__package__).joinpath(*name.split("/")).read_text(encoding="utf-8")
+    return file_text(__package__, name)
