@@ -148,7 +148,7 @@ class AlignmentOptions:
     distances: Literal["factors", "dense"] = "factors"
     samples: int = 1000
     rounds: int = 3
-    iterations: int = 20
+    iterations: int = 12
     decay: float = 0.5
     tolerance: float = 1e-5
 

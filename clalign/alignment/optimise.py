@@ -103,7 +103,7 @@ def minimise(
     optimiser = nlopt.opt(nlopt.LD_LBFGS, begin.size)
     recorder = _Recorder(objective, begin, optimiser.force_stop)
     optimiser.set_exceptions_enabled(False)
-    optimiser.set_vector_storage(VECTOR_STORAGE)
+    optimiser.set_vector_storage(max(1, min(VECTOR_STORAGE, evaluations)))
     optimiser.set_min_objective(recorder)
     optimiser.set_maxeval(evaluations)
     optimiser.set_ftol_rel(relative_tolerance)
