@@ -7,9 +7,18 @@ import pytest
 from numpy.typing import NDArray
 from prepared import PreparedPair
 
+from clalign.alignment import refine
 from clalign.alignment.funnel import band_mask, funnel_band
 from clalign.alignment.maps import PointMaps, functional_map, point_maps
-from clalign.alignment.refine import closed_form_rotation, coherent_steps, up_sampled, vertex_maps, wavelet_steps
+from clalign.alignment.refine import (
+    Growth,
+    best_grown,
+    closed_form_rotation,
+    coherent_steps,
+    up_sampled,
+    vertex_maps,
+    wavelet_steps,
+)
 from clalign.engine import Reference
 from clalign.geometry.geodesics import all_pairs
 from clalign.options import AlignmentOptions
@@ -40,7 +49,7 @@ def test_up_sampling_sharpens_a_coarse_map(
     source, target, truth = middle
     coarse = functional_map(source.basis, target.basis, truth.source_of_target, 10)
     coarse += 0.2 * rng.normal(size=coarse.shape)
-    fine = up_sampled(backend, source, target, coarse, 60)
+    fine = up_sampled(backend, source, target, coarse, 60, Growth(step=10))
     assert fine.shape == (60, 60)
 
     def error(functional: NDArray[np.float64]) -> float:
@@ -57,6 +66,19 @@ def test_up_sampling_stops_at_what_a_small_shape_has(middle: PreparedPair, backe
     coarse = functional_map(source.basis, target.basis, truth.source_of_target, 10)
     assert up_sampled(backend, source, target, coarse, 500).shape == (60, 60)
     assert up_sampled(backend, source, target, coarse, 35).shape == (35, 35)
+
+
+def test_the_growth_that_scores_best_is_taken(
+    middle: PreparedPair, backend: Reference, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that keeps three functions and listens to curvature alone is wrong, wherever it stands in the list."""
+    source, target, truth = middle
+    coarse = functional_map(source.basis, target.basis, truth.source_of_target, 12)
+    good, bad = Growth(None, 20), Growth(3, 40, 1e4)
+    expected = up_sampled(backend, source, target, coarse, 60, good)
+    for order in ((good, bad), (bad, good)):
+        monkeypatch.setattr(refine, "GROWTHS", order)
+        np.testing.assert_array_equal(best_grown(backend, source, target, coarse, 60), expected)
 
 
 def test_coherent_steps_repair_a_disturbed_map(
