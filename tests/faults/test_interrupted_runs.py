@@ -77,7 +77,7 @@ def test_during_the_search_nothing_is_kept(
     ("place", "after"),
     [
         ("clalign.alignment.pipeline.grown_maps", 0),
-        ("clalign.alignment.pipeline.best_grown", 0),
+        ("clalign.alignment.pipeline.piecewise_maps", 0),
         ("clalign.alignment.pipeline.grown_maps", 1),
         ("clalign.alignment.pipeline.choose_metric", 0),
         ("clalign.alignment.pipeline.closed_form_rotation", 0),
@@ -109,7 +109,7 @@ def test_from_the_first_map_on_the_best_is_kept(
 
 
 def test_a_second_interrupt_gives_up(match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    once(monkeypatch, "clalign.alignment.pipeline.best_grown")
+    once(monkeypatch, "clalign.alignment.pipeline.piecewise_maps")
     once(monkeypatch, "clalign.alignment.pipeline.closed_form_rotation")
     shown = match(tmp_path / "out", *WHOLE)
     assert shown.status == 130
