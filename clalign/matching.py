@@ -17,7 +17,7 @@ from clalign.alignment.forecast import require_memory
 from clalign.alignment.maps import PointMaps
 from clalign.alignment.pipeline import AlignedPair, Clock, align_pair
 from clalign.alignment.subvertex import SurfacePoints
-from clalign.correspondence import Alternative, Correspondence
+from clalign.correspondence import INTERRUPTED, Alternative, Correspondence
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
 from clalign.errors import ClalignWarning, ConfidenceWarning
@@ -194,7 +194,7 @@ def _warnings(source: Mesh, target: Mesh, pair: AlignedPair, confidence: float) 
     """Return what a user has to know, and raise it as Python warnings too."""
     messages = []
     if pair.alignment.status == "interrupted":
-        messages.append("interrupted: what was left to do was cut short, and the best map so far was kept")
+        messages.append(f"{INTERRUPTED}what was left to do was cut short, and the best map so far was kept")
     messages += [f"{mesh.name}: {note}" for mesh in (source, target) for note in mesh.notes]
     doubts = []
     if pair.search is None:

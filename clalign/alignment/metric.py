@@ -32,12 +32,16 @@ def choose_metric(
 
     Parameters
     ----------
+    source, target : with the descriptors of the exponent that `options` names, as the metric "auto" prepares them.
     maps : a good map, from the LBO basis.
     band : the funnel.
     """
     for exponent in EXPONENTS:
         chosen = replace(options, metric="power", xi=exponent)
-        pair = with_descriptors(source, chosen), with_descriptors(target, chosen)
+        if exponent == options.xi:
+            pair = source, target
+        else:
+            pair = with_descriptors(source, chosen), with_descriptors(target, chosen)
         size = min(band.size, pair[0].descriptors.count, pair[1].descriptors.count)
         functional = two_way_functional_map(backend, pair[0].descriptors, pair[1].descriptors, maps, size)
         values = np.linalg.svd(functional * band_mask(band)[:size, :size], compute_uv=False)

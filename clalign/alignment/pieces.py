@@ -78,6 +78,7 @@ def _chosen(
 ) -> NDArray[np.int64]:
     weights, pieces = basis.samples.weights, basis.samples.pieces
     totals = np.stack([np.bincount(pieces, weights=weights * residual) for residual in residuals])
+    totals = np.nan_to_num(totals, nan=np.inf, posinf=np.inf)
     return np.stack(matches)[np.argmin(totals, axis=0)[pieces], np.arange(pieces.size)]
 
 
@@ -115,7 +116,8 @@ def piecewise_maps(
     for _ in range(GENERATIONS):
         lower = coherent_sample_steps(backend, low_x, low_y, maps, _up_to(LOW_REGROWTH, low_x, low_y))
         maps = best_pieces(high_x, high_y, [maps, settled(maps, REGROWTH), settled(lower, SETTLING)])
-    count = min(high_x.count, high_y.count)
+    # More functions than half the equations of the least squares would fit its noise.
+    count = min(high_x.count, high_y.count, max((spread[0].vertices.size + spread[1].vertices.size) // 4, 1))
     left, right = coherent_factors(sample_functional_map(high_x, high_y, maps, count))
     return point_maps(backend, descriptors[0].functions @ left, descriptors[1].functions @ right)
 

@@ -25,7 +25,7 @@ from clalign.alignment.refine import (
     wavelet_steps,
 )
 from clalign.alignment.rotation import StartingRotation, random_rotation
-from clalign.alignment.rounds import AlignedRotation, embeddings, optimise_rotation
+from clalign.alignment.rounds import AlignedRotation, optimise_rotation
 from clalign.alignment.search import SearchResult, find_isometry
 from clalign.alignment.subvertex import SurfacePoints, closest_points
 from clalign.alignment.views import aligned_side, sampled_factors
@@ -201,7 +201,7 @@ def _final_maps(
     """Return the maps after the last steps, and with the sub-vertex read-out the points that they stand for."""
     assert reached.alignment is not None
     backend, maps = problem.backend, reached.last or reached.alignment.maps
-    queries, embedding = embeddings(problem, reached.alignment.rotation)
+    queries, embedding = problem.embeddings(reached.alignment.rotation)
     for _ in range(options.readout.steps):
         queries, embedding = coherent_embeddings(backend, *descriptors, maps)
         reached.last = maps = point_maps(backend, queries, embedding)

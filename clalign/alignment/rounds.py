@@ -37,14 +37,6 @@ class AlignedRotation:
     status: Status
 
 
-def embeddings(
-    problem: AlignmentProblem, rotation: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return Φ̃ R and Ψ̃ Rᵀ (one-sided: Φ̃ C̃ and Ψ̃)."""
-    source, target = problem.source.descriptors, problem.target.descriptors
-    return source @ rotation, target if problem.options.sides == "one" else target @ rotation.T
-
-
 def hard_map(problem: AlignmentProblem, rotation: NDArray[np.float64], readout: Readout) -> NDArray[np.int64]:
     """Return target_of_source (n_x,) of R: nearest neighbours ("aligned", "functional") or Eq. 28 ("argmax")."""
     source, target, backend = problem.source, problem.target, problem.backend

@@ -107,7 +107,9 @@ def sample_functional_map(
 ) -> NDArray[np.float64]:
     """Return the functional map (size, size) that explains the maps of both directions best; see `maps`.
 
-    The weighted least squares of `maps.two_way_functional_map`, with sums over samples instead of all vertices.
+    The least squares of `maps.two_way_functional_map` with sums over samples instead of all vertices. Samples weigh by
+    the area of the surface around them, whatever the metric of the functions: a choice among pieces should not care
+    more for what is strongly curved.
     """
     pulled = source.functions[maps.source_of_target, :size]
     carried = target.functions[maps.target_of_source, :size]
@@ -174,9 +176,12 @@ def _farthest_in_space(points: NDArray[np.float64], chosen: NDArray[np.int64], c
     """Extend `chosen` to `count` points, each farthest in space from those before."""
     gaps, _ = cKDTree(points[chosen]).query(points)
     squares = gaps**2
+    # Vertices may coincide; none is taken twice.
+    squares[chosen] = -1.0
     added = list(chosen)
     while len(added) < count:
         following = int(squares.argmax())
         added.append(following)
         np.minimum(squares, np.sum((points - points[following]) ** 2, axis=1), out=squares)
+        squares[following] = -1.0
     return np.array(added, dtype=np.int64)

@@ -25,8 +25,8 @@ class SurfacePoints:
 
 
 def closest_points(
-    queries: NDArray[np.float64],
-    embedding: NDArray[np.float64],
+    queries: NDArray[np.floating],
+    embedding: NDArray[np.floating],
     triangles: NDArray[np.int32],
     nearest: NDArray[np.int64],
 ) -> SurfacePoints:
@@ -60,7 +60,7 @@ def closest_points(
 
 
 def _closest_on_triangles(
-    points: NDArray[np.float64], corners: NDArray[np.float64]
+    points: NDArray[np.floating], corners: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return weights (n, 3) of the closest points on triangles (n, 3, d) in any dimension, and squared distances (n,).
 
@@ -92,5 +92,5 @@ def _closest_on_triangles(
     return np.clip(weights, 0.0, 1.0), squares[best, rows] + _dot(offset, offset)
 
 
-def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def _dot(a: NDArray[np.floating], b: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.asarray(np.einsum("nd,nd->n", a, b), dtype=np.float64)

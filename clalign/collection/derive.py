@@ -36,7 +36,8 @@ def derived_correspondence(
     descriptors = source.descriptors.head(count), target.descriptors.head(count)
     with clock.stage("read-out"):
         # As many steps as a match makes before and after its optimisation.
-        maps = coherent_steps(backend, *descriptors, maps, 2 * options.readout.steps)
+        before = 0 if options.readout.refine == "pieces" else options.readout.steps
+        maps = coherent_steps(backend, *descriptors, maps, before + options.readout.steps)
     with clock.stage("closed form"):
         band = funnel_band(count, options.alignment)
         start = closed_form_rotation(backend, *descriptors, maps, band, options.alignment.sides == "one")
