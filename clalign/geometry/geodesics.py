@@ -41,10 +41,19 @@ class Geodesics:
 
     def sample_weights(self, count: int) -> NDArray[np.float64]:
         """Return the area shares of the first `count` samples, those of later samples given to the nearest of them."""
-        nearest = self.distances[:count].argmin(axis=0)
-        shares = np.zeros(count, dtype=np.float64)
-        np.add.at(shares, nearest, self.weights)
-        return shares
+        return prefix_shares(self.distances, self.weights, count)
+
+
+def prefix_shares(distances: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Return the (count,) area shares of the first samples when those of later ones go to the nearest of them.
+
+    Parameters
+    ----------
+    distances : (S, S) between samples.
+    weights : (S,) area shares of all samples.
+    """
+    nearest = distances[:count].argmin(axis=0)
+    return np.bincount(nearest, weights=weights, minlength=count).astype(np.float64)
 
 
 @dataclass(frozen=True)

@@ -175,6 +175,21 @@ def map_distances(pair: SamplePair, index: NDArray[np.int32], points: int) -> ND
     return pair.backend.numpy(values).astype(np.float64)
 
 
+def least_distorted(pair: SamplePair, batch: Batch, points: int, radius: float, most: int, among: int = 0) -> Batch:
+    """Return at most `most` candidates without duplicates, of least distortion first.
+
+    Parameters
+    ----------
+    points : samples of X that the point maps lead to.
+    radius : candidates closer than this are duplicates.
+    among : so many of least distortion are looked at (0: all).
+    """
+    order = np.argsort(distortions(pair, batch.index, points), kind="stable")
+    batch = batch.take(order[:among] if among else order)
+    between = map_distances(pair, batch.index, points)
+    return batch.take(np.array(without_duplicates(between, np.arange(batch.count), radius, most)))
+
+
 def without_duplicates(between: NDArray[np.float64], order: NDArray[np.int64], radius: float, most: int) -> list[int]:
     """Return candidates in the given order, leaving out those within `radius` of one already taken."""
     kept: list[int] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .batch import Batch, Level, SamplePair, distortions, map_distances, up_sample, without_duplicates
+from .batch import Batch, Level, SamplePair, least_distorted, up_sample
 from .starts import oriented_starts
 from .tree import PLAIN, grow
 
@@ -17,11 +17,7 @@ REFOLD_SIZES = (9, 12, 16)
 def widened(pair: SamplePair, functional: NDArray[np.float32], most: int, radius: float = 0.02) -> Batch:
     """Up-sample candidates to 40 functions and drop duplicates, best distortion first."""
     batch = up_sample(pair, functional, WIDE_LEVELS)
-    points = pair.fit(WIDE_LEVELS[-1]).points
-    order = np.argsort(distortions(pair, batch.index, points), kind="stable")[: 3 * most]
-    batch = batch.take(order)
-    between = map_distances(pair, batch.index, points)
-    return batch.take(np.array(without_duplicates(between, np.arange(batch.count), radius, most)))
+    return least_distorted(pair, batch, pair.fit(WIDE_LEVELS[-1]).points, radius, most, among=3 * most)
 
 
 def self_maps(pair: SamplePair, most: int) -> NDArray[np.float32]:

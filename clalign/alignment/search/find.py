@@ -13,7 +13,7 @@ from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape
 from clalign.options import SearchOptions
 
-from .batch import Batch, Level, SamplePair, distortions, map_distances, up_sample, without_duplicates
+from .batch import Batch, Level, SamplePair, least_distorted, up_sample
 from .choice import Ranking, ranked
 from .closure import composed, self_maps, unfolded_again, widened
 from .orientation import orientation_scores
@@ -145,11 +145,7 @@ def _tree_candidates(pair: SamplePair, report: Callable[[float], None]) -> NDArr
 
 def _best(pair: SamplePair, batch: Batch, most: int) -> Batch:
     """Return the candidates of least distortion, without duplicates."""
-    points = pair.fit(Level(40, 200, 600)).points
-    order = np.argsort(distortions(pair, batch.index, points), kind="stable")
-    batch = batch.take(order)
-    between = map_distances(pair, batch.index, points)
-    return batch.take(np.array(without_duplicates(between, np.arange(batch.count), 0.02, most)))
+    return least_distorted(pair, batch, pair.fit(Level(40, 200, 600)).points, 0.02, most)
 
 
 def _joined(batches: list[Batch]) -> NDArray[np.float32]:

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.geometry.geodesics import prefix_shares
 from clalign.geometry.shape import Shape
 
 
@@ -56,8 +57,7 @@ class SampledShape:
     @lru_cache(maxsize=64)  # noqa: B019 - lives and dies with one search
     def prefix_weights(self, count: int) -> NDArray[np.float64]:
         """Return the area that falls to each of the first `count` samples, from the cells of all samples."""
-        nearest = np.argmin(self.distances[:count], axis=0)
-        return np.bincount(nearest, weights=self.weights, minlength=count).astype(np.float64)
+        return prefix_shares(self.distances, self.weights, count)
 
     @lru_cache(maxsize=256)  # noqa: B019
     def analysis(self, count: int, size: int) -> NDArray[np.float64]:
