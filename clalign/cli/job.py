@@ -67,7 +67,7 @@ def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> 
         action="append",
         default=[],
         dest="changes",
-        help="change any single option; may be repeated",
+        help="change any single option; may be repeated; result.json lists all of them",
     )
     parser.add_argument("--no-cache", action="store_true", help="compute everything anew and store nothing for later")
     parser.add_argument("--no-picture", action="store_true", help="do not draw match.png")

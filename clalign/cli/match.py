@@ -25,6 +25,7 @@ _EPILOG = """\
 examples:
   clalign match cat0.off cat7.off
   clalign match a.ply b.ply --out a-to-b --truth identity --seed 1
+  clalign match a.ply b.ply --truth points-on-a.txt --truth points-on-b.txt
   clalign match a.ply b.ply --preset fast --set spectrum.basis=80 --set alignment.weight=50
 """
 

@@ -123,7 +123,8 @@ def read_numbers(path: str | Path) -> NDArray[np.int64]:
     try:
         lines = Path(path).read_text(encoding="utf-8").rstrip().splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise ResultError(f"{path}: cannot be read as text ({error})") from error
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise ResultError(f"{path}: cannot be read as text ({reason})") from error
     if not lines:
         raise ResultError(f"{path}: the file is empty; expected one vertex number a line")
     numbers = np.empty(len(lines), dtype=np.int64)

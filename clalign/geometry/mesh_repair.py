@@ -244,7 +244,8 @@ def _largest_piece(surface: Surface, notes: list[str]) -> Surface:
         return surface
     largest = int(np.argmax(areas))
     share = 100 * areas[largest] / areas.sum()
-    notes.append(f"{count - 1} smaller pieces dropped; the largest has {share:.4g} % of the area")
+    dropped = "1 smaller piece" if count == 2 else f"{count - 1} smaller pieces"
+    notes.append(f"{dropped} dropped; the largest has {share:.4g} % of the area")
     return surface.keep(piece == largest)
 
 

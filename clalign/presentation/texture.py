@@ -69,7 +69,7 @@ def read_texture(path: str | Path) -> Texture:
                 materials.append(line.strip())
         except (ValueError, IndexError) as error:
             raise InputError(
-                f"{path}, line {number}: {line.strip()[:60]!r} cannot be read as OBJ with texture"
+                f"{path}, line {number}: {line.strip()[:60]!r} cannot be read as OBJ with texture ('f v/vt …')"
             ) from error
     if not coordinates or not faces:
         raise InputError(f"{path}: has no faces with texture coordinates ('vt' lines, and 'f v/vt …')")

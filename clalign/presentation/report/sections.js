@@ -78,7 +78,7 @@ function fillHistory() {
     return lineChart({ x, y, marks, caption: HISTORY_NAMES[name], summary });
   });
   body.append(make("p", { class: "hint" }, `${x.length} evaluations in ${new Set(round).size} rounds; a dashed line `
-    + "begins a new round, in which the map inside the losses is renewed, so the curves may jump there."));
+    + "begins a new round: the map inside the losses is renewed and λ takes its next value, so the curves may jump there."));
   body.append(make("div", { class: "charts" }, ...charts));
 }
 
