@@ -149,7 +149,7 @@ class AlignmentOptions:
     samples: int = 1000
     rounds: int = 3
     iterations: int = 12
-    decay: float = 0.5
+    decay: float = 0.2
     tolerance: float = 1e-5
 
     def __post_init__(self) -> None:
