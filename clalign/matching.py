@@ -32,6 +32,10 @@ LOG = logging.getLogger(__name__)
 LOW_CONFIDENCE = 0.15
 """A best different map whose score is within this share of the chosen one's is worth a warning."""
 
+LOW_ORIENTATION = 0.9
+"""An orientation nearer to zero is worth a warning: below are maps with parts turned inside out, as between half a body
+and a whole one (0.4 to 0.7); near-isometries reach 0.95."""
+
 
 def match(
     source: Any,
@@ -197,6 +201,11 @@ def _warnings(source: Mesh, target: Mesh, pair: AlignedPair, confidence: float) 
         messages.append(f"{INTERRUPTED}what was left to do was cut short, and the best map so far was kept")
     messages += [f"{mesh.name}: {note}" for mesh in (source, target) for note in mesh.notes]
     doubts = []
+    if pair.search is not None and abs(pair.search.orientation) < LOW_ORIENTATION:
+        doubts.append(
+            f"orientation {pair.search.orientation:+.2f}: parts of the map are turned inside out; one shape may be a "
+            "part of the other, mirrored, or too different; look at the page"
+        )
     if pair.search is None:
         doubts.append("no search was made (search.method=random), so the map may be mirrored or wrong")
     elif confidence < LOW_CONFIDENCE:

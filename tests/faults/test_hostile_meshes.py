@@ -104,9 +104,13 @@ def test_wildly_different_shapes_get_a_warning_with_the_confidence() -> None:
     """A torus has no map to a sphere that deserves trust."""
     body = shapes.bumpy_sphere(2)
     options = Options().replace({"engine.backend": "reference", "alignment.rounds": 0})
-    with pytest.warns(ConfidenceWarning, match="low confidence"):
+    with (
+        pytest.warns(ConfidenceWarning, match="turned inside out"),
+        pytest.warns(ConfidenceWarning, match="low confidence"),
+    ):
         result = clalign.match(body, malformed.ring(), options)
     assert 0 <= result.confidence < 0.2
+    assert f"{result.orientation:+.2f}" in result.warnings[-2]
     assert f"{result.confidence:.2f}" in result.warnings[-1]
     assert result.target_of_source.min() >= 0
     assert np.isfinite(result.distortion).all()
