@@ -28,7 +28,7 @@ class DeviceError(ClalignError, RuntimeError):
 
 
 class MemoryBudgetError(DeviceError):
-    """The work would need more memory than the device or the machine has; raised before allocating."""
+    """The work needs more memory than the device or the machine has; raised before allocating, as far as is known."""
 
 
 class ConvergenceError(ClalignError, RuntimeError):

@@ -17,8 +17,11 @@ from typing import Any
 
 from clalign.errors import MemoryBudgetError
 from clalign.geometry.geodesics import affordable_samples
+from clalign.geometry.heat_process import WORTH_A_PROCESS
 from clalign.geometry.workers import processor_count
 from clalign.options import Options
+
+from .growth_cost import growth_operations, pieces_are_grown
 
 _DOUBLE, _INDEX = 8, 4
 
@@ -67,7 +70,7 @@ class Forecast:
 
     Attributes
     ----------
-    host : bytes of the process without what lies on the device, by stage.
+    host : bytes of the process and its helpers without what lies on the device, by stage.
     device : bytes in buffers of the device, by stage.
     largest_buffer : bytes of the largest one.
     seconds : by stage, on the processors of this machine.
@@ -82,12 +85,12 @@ class Forecast:
 
     @property
     def memory(self) -> int:
-        """Peak bytes of the process, with the pictures of ``clalign match``."""
+        """Peak bytes of the processes, with the pictures of ``clalign match``."""
         return max(self._process_bytes(stage) for stage in self.host)
 
     @property
     def match_memory(self) -> int:
-        """Peak bytes of the process until the result is there."""
+        """Peak bytes of the processes until the result is there."""
         return max(self._process_bytes(stage) for stage in self.host if stage != RESULT)
 
     def _process_bytes(self, stage: str) -> int:
@@ -130,6 +133,10 @@ PICTURE_BYTES = 850 * 2**20
 """Drawing ``match.png`` and the page, beside what the result itself takes."""
 FILL = 40.0
 """Entries of a sparse factor per vertex and unit of log2(vertices) / 10."""
+HELPER_BYTES = 55 * 2**20
+"""A second interpreter with what the heat method imports."""
+HEAT_BYTES = 3100.0
+"""Of the heat method, per vertex and unit of log2(vertices) / 10, while it factorises: two matrices and its mesh."""
 RETAINED = 1.3
 """Temporaries of numpy and what the allocator keeps of arrays that are gone, as a share of the arrays, ..."""
 MOST_RETAINED = 350 * 2**20
@@ -142,12 +149,16 @@ RATES: Mapping[str, float] = {
     "search": 600.0,
     "losses": 45e9,
     "nearest": 60e9,
+    "dense": 30e9,
 }
 """On one core and a second: floating-point operations; for "distances" vertices, for "search" samples.
 
-Measured with `progress` of `match` and the processor's clock, on bumpy spheres of 642 to 40,962 vertices.
+Measured with `progress` of `match` and the processor's clock, on bumpy spheres of 642 to 40,962 vertices; "dense" and
+`SPARED` on human bodies of 6,890 and generated ones of 25,000.
 """
 FIXED_SECONDS = {"start": 2.0, "picture": 10.0}
+SPARED = 2500
+"""Vertices from which on points are given up before all functions are compared: the more there are, the earlier."""
 KRYLOV = 2.5
 """Columns of the eigensolver's basis for every wanted pair."""
 SLICE = 176
@@ -168,9 +179,9 @@ def forecast(
     """
     size = sizes(source, target, options)
     real = 8 if options.engine.precision == "double" or options.engine.backend == "reference" else 4
-    host, device = _host_bytes(size), _device_bytes(size, real)
-    largest = real * max(size.source, size.target) * size.descriptors
     cores = processor_count() if processors is None else processors
+    host, device = _host_bytes(size, options, cores), _device_bytes(size, options, real)
+    largest = real * max(size.source, size.target) * size.descriptors
     return Forecast(host, device, largest, _seconds(size, options, cores), shared)
 
 
@@ -185,25 +196,46 @@ def _kept_bytes(size: Sizes, vertices: int) -> float:
     return _DOUBLE * (vertices * columns + 2.0 * size.samples**2)
 
 
-def _host_bytes(size: Sizes) -> dict[str, int]:
+def _distance_bytes(size: Sizes, options: Options, cores: int) -> tuple[float, float]:
+    """Return the bytes of the heat method of as many meshes as are at work at a time: in this process, and in helpers.
+
+    An answer lies in this process twice when it comes: as it was sent, and as arrays, which are kept.
+    """
+    here, elsewhere = [], []
+    for vertices in (size.source, size.target):
+        samples = affordable_samples(vertices, options.geodesics.search_samples, size.rows)
+        heat = HEAT_BYTES * vertices * math.log2(max(vertices, 2)) / 10 + _INDEX * samples * vertices
+        helped = cores > 1 and samples * vertices >= WORTH_A_PROCESS
+        here.append(_INDEX * (size.rows * vertices + samples**2) if helped else heat)
+        elsewhere.append(HELPER_BYTES + heat if helped else 0.0)
+    at_a_time = sum if cores > 1 else max
+    return at_a_time(here), at_a_time(elsewhere)
+
+
+def _host_bytes(size: Sizes, options: Options, cores: int) -> dict[str, int]:
     larger = max(size.source, size.target)
     kept = _kept_bytes(size, size.source) + _kept_bytes(size, size.target)
     slices = min(2, -(-size.descriptors // SLICE))
     krylov = slices * (KRYLOV * min(SLICE + 12, size.descriptors) * _DOUBLE * larger + _factor_bytes(larger))
     # Rows of all slices, joined, orthonormal and in the order of the mesh; one set is part of `kept` already.
     joined = 3.0 * _DOUBLE * larger * size.descriptors
-    distances = _INDEX * size.samples * larger + 2 * _factor_bytes(larger)
+    distances, helpers = _distance_bytes(size, options, cores)
     prepare = kept + max(krylov, joined) + distances
     # Descriptors with signs, the contiguous part of the basis, and two products that are read out.
     aligned = _DOUBLE * size.both * (2 * size.descriptors + size.basis + 2 * size.rank) + kept
     # The page and the arrays in single precision, while the result is still there.
     saved = kept + _INDEX * size.both * (size.basis + size.descriptors)
     stages = {"preparation": prepare, "alignment": aligned, RESULT: saved}
+    if pieces_are_grown(options):
+        # Functions in single precision, and the embeddings that the last step compares, in both.
+        stages["up-sampling"] = kept + size.both * (4 * size.functions + (4 + 12) * size.descriptors)
     peaks = {stage: int(BASE_BYTES + held + min(RETAINED * held, MOST_RETAINED)) for stage, held in stages.items()}
-    return peaks | {RESULT: peaks[RESULT] + PICTURE_BYTES}
+    # What a helper holds was measured with what its allocator keeps.
+    beside = {"preparation": int(helpers), RESULT: PICTURE_BYTES}
+    return {stage: peak + beside.get(stage, 0) for stage, peak in peaks.items()}
 
 
-def _device_bytes(size: Sizes, real: int) -> dict[str, int]:
+def _device_bytes(size: Sizes, options: Options, real: int) -> dict[str, int]:
     """Return bytes of buffers: descriptors (one carried over, too), bases, packed moments, and a read-out's scratch.
 
     A read-out uploads two embeddings (n, d) and packs both once more.
@@ -213,7 +245,11 @@ def _device_bytes(size: Sizes, real: int) -> dict[str, int]:
     meshes = size.both * (size.descriptors + size.basis + size.rank) + size.source * size.descriptors
     read_out = 2 * size.both * size.descriptors
     search = 3 * 200 * 40 * 400 + 2 * size.samples**2
-    return {"preparation": 0, "alignment": real * (fixed + meshes + read_out + search), RESULT: 0}
+    stages = {"preparation": 0, "alignment": real * (fixed + meshes + read_out + search), RESULT: 0}
+    if pieces_are_grown(options):
+        uploaded = size.both * (size.functions + size.descriptors)
+        stages["up-sampling"] = real * (uploaded + read_out + search)
+    return stages
 
 
 def _seconds(size: Sizes, options: Options, cores: int) -> dict[str, float]:
@@ -226,13 +262,16 @@ def _seconds(size: Sizes, options: Options, cores: int) -> dict[str, float]:
     # Value and gradient: three passes over the packed pairs, each a multiplication and an addition.
     evaluation = 6.0 * size.losses * size.basis**2 / 2 * size.rank + 20.0 * size.descriptors**2 * size.basis
     read_outs = 2 + options.alignment.rounds + options.readout.steps
-    nearest = 4.0 * size.source * size.target * (size.descriptors * read_outs + size.functions)
+    functions = size.descriptors * read_outs + (0 if pieces_are_grown(options) else size.functions)
+    nearest = 4.0 * size.source * size.target * functions / math.sqrt(max(min(size.source, size.target) / SPARED, 1.0))
     alignment = evaluations * evaluation / RATES["losses"] + nearest / RATES["nearest"]
+    grown, dense = growth_operations(size, options)
     search = 0.0 if options.search.method == "random" else size.samples / RATES["search"]
     return {
         "start": FIXED_SECONDS["start"],
         "preparation": max(rows / RATES["distances"], eigen / min(cores, 2)),
         "search": search / cores,
+        "up-sampling": (grown / RATES["nearest"] + dense / RATES["dense"]) / cores,
         "alignment": alignment / cores,
         RESULT: FIXED_SECONDS["picture"],
     }

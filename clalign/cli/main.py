@@ -7,6 +7,7 @@ for ``--help``, so they import everything heavy inside ``run``.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import errno
 import logging
 import os
@@ -114,8 +115,10 @@ def program() -> NoReturn:
     """Run the command line of this process and end it; after Ctrl-C no thread that still computes is waited for."""
     status = main()
     if status == EXIT_INTERRUPTED:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            # The reader may have gone: Ctrl-C ends all the programs of a pipe.
+            with contextlib.suppress(OSError):
+                stream.flush()
         os._exit(status)
     sys.exit(status)
 

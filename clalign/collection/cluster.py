@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.errors import ClalignError, OptionError
-from clalign.geometry.workers import THREADS_VARIABLE, processor_count
+from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE, processor_count
 
 if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
@@ -108,11 +108,10 @@ def _quiet() -> Iterator[None]:
 def shared_out(workers: int) -> dict[str, str]:
     """Return the variables of a local worker; the libraries read them when they load, so they are set before."""
     share = str(max(1, processor_count() // workers))
-    single = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
     device = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", THREADS_VARIABLE)
     # Fewer arenas keep less of what is freed; a low trim threshold, as Dask sets it, costs half the time in faults.
     memory = {"MALLOC_ARENA_MAX": "2"}
-    return {name: "1" for name in single} | {name: share for name in device} | memory
+    return SINGLE_THREADED | dict.fromkeys(device, share) | memory
 
 
 def _check_workers(client: Client, folder: Path) -> None:

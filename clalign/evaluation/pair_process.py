@@ -1,7 +1,7 @@
 """One match in a process of its own, for `performance_pair`.
 
 ``python -m clalign.evaluation.pair_process REQUEST.json`` prints a JSON document with the seconds of the match, those
-of its stages and the most memory that the process held.
+of its stages and the most memory that the process and its helpers held.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .memory import PeakMemory
 
 
 @dataclass(frozen=True)
@@ -38,17 +40,22 @@ class Request:
 
 
 def run(request: Request) -> dict[str, Any]:
-    """Match, and return "seconds", "stages", "work" (processor seconds), "device" and "peak" (bytes, or None)."""
+    """Match, and return "seconds", "stages", "work" (processor seconds), "device" and "peak" (bytes, or None).
+
+    Work and peak are those of this process and of the processes that it starts, as `PeakMemory` says; on Windows the
+    work is that of this process alone, whose system does not add up that of others.
+    """
     start = time.perf_counter()
     match = _clalign if request.method == "clalign" else _pyfm
-    target_of_source, stages, device = match(request)
+    with PeakMemory() as memory:
+        target_of_source, stages, device = match(request)
     seconds = time.perf_counter() - start
     if request.map:
         np.save(request.map, target_of_source)
     # Since the process began, in all its threads and in the processes that it started.
     used = os.times()
     work = used.user + used.system + used.children_user + used.children_system
-    return {"seconds": seconds, "stages": stages, "work": work, "device": device, "peak": peak_memory()}
+    return {"seconds": seconds, "stages": stages, "work": work, "device": device, "peak": memory.peak}
 
 
 def _clalign(request: Request) -> tuple[NDArray[np.int64], dict[str, float], str]:
@@ -73,23 +80,6 @@ def _pyfm(request: Request) -> tuple[NDArray[np.int64], dict[str, float], str]:
     nothing = np.zeros(0, dtype=np.int64)
     outcome = PyfmMethod()(Problem("pair", source, target, Truth(nothing, nothing), None))
     return outcome.target_of_source, {"read": read, **outcome.stages}, f"numpy {np.__version__}"
-
-
-def peak_memory() -> int | None:
-    """Return the most bytes that this process has held at a time, or None where the system does not tell."""
-    status = Path("/proc/self/status")
-    if status.is_file():
-        # Unlike getrusage, this does not count what the parent held when it started the process.
-        for line in status.read_text(encoding="ascii").splitlines():
-            name, _, value = line.partition(":")
-            if name == "VmHWM":
-                return int(value.split()[0]) * 1024
-    try:
-        import resource
-    except ImportError:
-        return None
-    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return largest if sys.platform == "darwin" else largest * 1024
 
 
 if __name__ == "__main__":

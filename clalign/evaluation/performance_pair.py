@@ -38,7 +38,7 @@ class PairTime:
     seconds : from the start of the process to its end.
     stages : seconds of each stage; `START` is what no stage covers.
     work : seconds of processor time in all threads, which other processes hardly change.
-    peak : most bytes held, or None.
+    peak : most bytes held, helper processes included, or None; see `memory.PeakMemory`.
     device : where the arithmetic ran.
     """
 

@@ -6,11 +6,12 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import shutil
 import signal
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import ClalignError, OptionError
-from clalign.geometry.workers import THREADS_VARIABLE
+from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE
 
 from .distances import DistanceMethod
 from .errors import evaluate
@@ -36,9 +37,7 @@ Curves = dict[str, NDArray[np.float64]]
 
 #: One thread for every library that has its own: the processes are the parallelism.
 SINGLE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
+    **SINGLE_THREADED,
     "POCL_MAX_PTHREAD_COUNT": "1",
     "POCL_CPU_MAX_CU_COUNT": "1",
     THREADS_VARIABLE: "1",
@@ -126,12 +125,14 @@ def run(
     waiting = [task for task in tasks if task.key not in done]
     count = len(tasks) - len(waiting)
     logger.info("%d pairs, %d of them already in %s", len(tasks), count, folder)
-    for record, curves in _in_this_process(waiting) if jobs == 1 else _in_processes(waiting, jobs):
-        file.append(record, curves)
-        done[record.key] = record
-        count += 1
-        if progress is not None:
-            progress(count, len(tasks), record)
+    results = _in_this_process(waiting) if jobs == 1 else _in_processes(waiting, jobs)
+    with _tidy_termination() if jobs > 1 else contextlib.nullcontext(), contextlib.closing(results):
+        for record, curves in results:
+            file.append(record, curves)
+            done[record.key] = record
+            count += 1
+            if progress is not None:
+                progress(count, len(tasks), record)
     problems = tuple(problem for layout in layouts for problem in layout.problems)
     return Run(tuple(done[task.key] for task in tasks), problems)
 
@@ -162,12 +163,12 @@ def measure(task: Task) -> tuple[Record, Curves]:
     return record_of(task.key, evaluation, outcome), curves
 
 
-def _in_this_process(tasks: Sequence[Task]) -> Iterator[tuple[Record, Curves]]:
+def _in_this_process(tasks: Sequence[Task]) -> Generator[tuple[Record, Curves]]:
     for task in tasks:
         yield measure(task)
 
 
-def _in_processes(tasks: Sequence[Task], jobs: int) -> Iterator[tuple[Record, Curves]]:
+def _in_processes(tasks: Sequence[Task], jobs: int) -> Generator[tuple[Record, Curves]]:
     """Yield results as they come; a process that dies costs the pairs that were being worked on, not the run."""
     waiting = list(reversed(tasks))
     with _environment(SINGLE_THREAD):
@@ -211,6 +212,35 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
+class _Terminated(BaseException):
+    """SIGTERM has come."""
+
+
+@contextlib.contextmanager
+def _tidy_termination() -> Iterator[None]:
+    """Let SIGTERM leave the block as an exception does, which ends workers and removes folders, and end this process.
+
+    The exit status is that of a process without a handler. One that there is already stays in place.
+    """
+
+    def leave(*_: object) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        raise _Terminated
+
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    except _Terminated:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
 @contextlib.contextmanager
 def _unheard_interrupts() -> Iterator[None]:
     """Hold Ctrl-C back while processes are started, which inherit that: to end the workers is left to this process."""
@@ -230,17 +260,21 @@ def _prepare_worker(folder: str) -> None:
     PoCL's breaks when several processes write to it. The worker ends when the process that started it does, however
     that ends: it would wait for tasks for ever.
     """
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     warnings.simplefilter("ignore")
     own = Path(folder) / str(os.getpid())
     own.mkdir()
+    threading.Thread(target=_end_with_parent, args=(own,), daemon=True).start()
     os.environ["POCL_CACHE_DIR"] = str(own)
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(own: Path) -> None:
+    """End this process, and remove its folder, once its parent has ended; the last one removes the folder of all."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
+        shutil.rmtree(own, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            own.parent.rmdir()
         os._exit(1)
 
 

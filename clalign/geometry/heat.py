@@ -107,10 +107,10 @@ def farthest_points(surface: Surface, central: int, count: int, kept: int) -> Fa
         gap[following] = -1.0
         owner[following] = index
         following = int(gap.argmax())
+    # The factors and the rows beyond the first are the largest arrays, and what comes of them is to be sent away.
+    del heat
+    between = np.ascontiguousarray(rows[:, samples])
+    if kept < count:
+        rows = rows[:kept].copy()
     areas = np.bincount(owner, weights=surface.mass, minlength=count).astype(np.float64)
-    return FarthestPoints(
-        samples=samples,
-        between=np.ascontiguousarray(rows[:, samples]),
-        rows=rows[:kept].copy(),
-        areas=areas,
-    )
+    return FarthestPoints(samples=samples, between=between, rows=rows, areas=areas)

@@ -23,30 +23,34 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.errors import MeshError
+from clalign.errors import MemoryBudgetError, MeshError
 
 from .heat import FarthestPoints, Surface, farthest_points
 from .heat_server import REFUSED, REQUEST, packed, receive, send, unpacked
-from .workers import processor_count
+from .workers import SINGLE_THREADED, processor_count
 
 logger = logging.getLogger(__name__)
 
 #: Samples × vertices from which on the process is worth its start: about half a second of the heat method.
 WORTH_A_PROCESS = 1_000_000
-#: What the interpreter runs. It finds modules where this one does, and not in the folder that it is started in.
+#: What the interpreter runs. It finds modules where this one does, but for the folder that it is started in.
 PROGRAM = """import json, sys
 sys.path[:] = json.loads(sys.argv[1])
 from clalign.geometry.heat_server import main
 main()"""
-#: Statuses above are codes of a crash on Windows; elsewhere a crash is a negative status.
+#: Statuses above are codes of a crash on Windows; elsewhere a signal is a negative status.
 LARGEST_STATUS = 255
+#: Signals that native code brings upon itself, and those that come from outside, mostly for want of memory.
+CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
+ENDED = ("SIGKILL", "SIGTERM")
 
 
 class HeatProcess:
     """One interpreter for `farthest_points`, started when first needed and ended when the ``with`` block is left.
 
-    Wherever the interpreter cannot be had (a single processor, a frozen program) or fails, the work is done here, with
-    the same result bit for bit and the same errors.
+    It works on one mesh at a time; `shape.prepare_all` has one of these for every mesh, and as many of them at work as
+    there are processors. Wherever the interpreter cannot be had (a single processor, a frozen program) or fails by
+    itself, the work is done here, with the same result bit for bit and the same errors.
     """
 
     def __init__(self) -> None:
@@ -69,6 +73,9 @@ class HeatProcess:
         ------
         MeshError
             The heat method fails or crashes on the mesh.
+        MemoryBudgetError
+            The interpreter was ended from outside. The work is not done here then: it would be this process that the
+            system ends next, with all that it holds.
         CancelledError
             `stop` was called.
         """
@@ -124,12 +131,19 @@ class HeatProcess:
         with self._lock:
             self._process = None
         _close(process)
-        if not 0 <= status <= LARGEST_STATUS:
+        cause = _cause(status)
+        if status > LARGEST_STATUS or cause in CRASHES:
             raise MeshError(
-                f"{name}: geodesic distances cannot be computed (the heat method was ended by {_cause(status)}); look "
+                f"{name}: geodesic distances cannot be computed (the heat method was ended by {cause}); look "
                 "for degenerate faces, or remesh"
             )
-        logger.info("the second interpreter ended with status %d; distances are computed in this one", status)
+        if cause in ENDED:
+            raise MemoryBudgetError(
+                f"{name}: the process that computes geodesic distances was ended from outside ({cause}), as a system "
+                "does that runs out of memory; end other programs, decimate the mesh, or set CLALIGN_THREADS=1, which "
+                "computes in one process, one mesh at a time"
+            )
+        logger.info("the second interpreter ended by %s; distances are computed in this one", cause)
 
 
 def _is_interpreter(executable: str | None) -> bool:
@@ -138,18 +152,25 @@ def _is_interpreter(executable: str | None) -> bool:
 
 
 def _started() -> subprocess.Popen[bytes]:
-    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    path = json.dumps([str(folder) for folder in sys.path])
     return subprocess.Popen(
-        [sys.executable, "-P", "-W", "ignore", "-c", PROGRAM, path],
+        [sys.executable, "-P", "-W", "ignore", "-c", PROGRAM, json.dumps(_module_path())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=os.environ | single,
+        env=os.environ | SINGLE_THREADED,
         # A Ctrl-C is for this process, which ends that one: so no traceback of two processes, whoever comes first.
         start_new_session=True,
         creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
     )
+
+
+def _module_path() -> list[str]:
+    """Return where this interpreter finds modules, without its working folder, be that "" or under a relative name.
+
+    What may have been found there is this package itself, whose folder therefore comes last.
+    """
+    folders = [str(folder) for folder in sys.path if os.path.isabs(str(folder))]
+    return [*folders, str(Path(__file__).absolute().parents[2])]
 
 
 def _cause(status: int) -> str:

@@ -10,7 +10,6 @@ import os
 import struct
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import IO, Any
 
 import numpy as np
@@ -24,7 +23,7 @@ REQUEST, ANSWER, REFUSED = b"?", b"=", b"!"
 _HEAD = struct.Struct("<cQ")
 
 
-def send(stream: IO[bytes], kind: bytes, body: bytes) -> None:
+def send(stream: IO[bytes], kind: bytes, body: bytes | memoryview) -> None:
     """Write one message."""
     stream.write(_HEAD.pack(kind, len(body)))
     stream.write(body)
@@ -41,12 +40,12 @@ def receive(stream: IO[bytes]) -> tuple[bytes, bytes] | None:
     return (kind, body) if len(body) == length else None
 
 
-def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return arrays as the contents of an ``.npz`` file."""
+def packed(arrays: Mapping[str, NDArray[Any]]) -> memoryview:
+    """Return arrays as the contents of an ``.npz`` file, without one more copy of them."""
     stream = io.BytesIO()
     contents: dict[str, Any] = dict(arrays)
     np.savez(stream, **contents)
-    return stream.getvalue()
+    return stream.getbuffer()
 
 
 def unpacked(body: bytes) -> dict[str, NDArray[Any]]:
@@ -55,13 +54,13 @@ def unpacked(body: bytes) -> dict[str, NDArray[Any]]:
         return {name: stored[name] for name in stored.files}
 
 
-def answer(body: bytes) -> tuple[bytes, bytes]:
+def answer(body: bytes) -> tuple[bytes, bytes | memoryview]:
     """Return kind and body of the answer to one request."""
     values = unpacked(body)
     central, count, kept = (int(number) for number in values["numbers"])
     surface = Surface(values["vertices"], values["faces"], values["mass"], str(values["name"]))
     try:
-        return ANSWER, packed(asdict(farthest_points(surface, central, count, kept)))
+        return ANSWER, packed(vars(farthest_points(surface, central, count, kept)))
     except MeshError as error:
         return REFUSED, str(error).encode()
 

@@ -12,6 +12,10 @@ from threadpoolctl import threadpool_limits
 
 #: Environment variable with the most threads to use, for several processes that share a machine.
 THREADS_VARIABLE = "CLALIGN_THREADS"
+#: Variables that keep OpenMP and the BLAS libraries to one thread; they read them when they load.
+SINGLE_THREADED = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+)
 
 _lock = threading.Lock()
 _users = 0

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -43,3 +46,29 @@ def test_other_threads_may_use_it_without_effect() -> None:
     thread.join()
     assert failures == []
     assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="closed pipes are reported in another way")
+def test_an_interrupted_program_whose_reader_has_gone_ends_as_ever() -> None:
+    """Ctrl-C ends every program of a pipe, the reader first, when there is still something to be written to it."""
+    interrupted = """
+from clalign.cli import main
+def command():
+    print("a line that is still in the buffer")
+    return main.EXIT_INTERRUPTED
+main.main = command
+main.program()
+"""
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as closed:
+        done = subprocess.run(
+            [sys.executable, "-c", interrupted],
+            stdout=closed,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            timeout=100,
+            env={**os.environ, "PYTHONUNBUFFERED": ""},
+        )
+    assert (done.returncode, done.stderr) == (130, "")

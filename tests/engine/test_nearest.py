@@ -90,15 +90,20 @@ def far_from_the_origin(rng, m, p, depth):
 @pytest.mark.parametrize("depth", [49, 97, 352])
 def test_giving_up_tiles_changes_no_bit(request, monkeypatch, rng, backend, make, with_penalty, depth):
     on_device = request.getfixturevalue(backend)
-    queries, points = make(rng, 101, 1337, depth)
+    # More rows than one work-item takes, be it with 8 or with 32 groups of them.
+    queries, points = make(rng, 203, 1337, depth)
     arrays = [on_device.array(queries), on_device.array(points)]
     if with_penalty:
         arrays.append(on_device.array(0.5 * np.sum(points**2, axis=1)))
-    early = [on_device.numpy(part) for part in on_device.nearest(*arrays)]
+    found = []
+    for groups in (8, 32) if on_device.device.group == 1 else (1,):
+        monkeypatch.setattr(kernels_search.KernelSearches, "_nearest_groups", lambda *_, groups=groups: groups)
+        found.append([on_device.numpy(part) for part in on_device.nearest(*arrays)])
     monkeypatch.setattr(kernels_search, "BOUND", depth)
     full = [on_device.numpy(part) for part in on_device.nearest(*arrays)]
-    for part, whole in zip(early, full, strict=True):
-        np.testing.assert_array_equal(part, whole)
+    for early in found:
+        for part, whole in zip(early, full, strict=True):
+            np.testing.assert_array_equal(part, whole)
 
 
 def test_copies_of_a_point_far_apart_end_at_the_first(kernels: Kernels, rng):

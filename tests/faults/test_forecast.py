@@ -19,20 +19,20 @@ GPU = {**CPU, "device": "card", "kind": "gpu"}
 
 MEASURE = """
 import sys, warnings
-from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 warnings.simplefilter("ignore")
 import shapes, clalign
+from clalign.evaluation.memory import PeakMemory
 from clalign.options import Options
 vertices, faces = shapes.bumpy_sphere(4)
 options = Options.preset("fast").replace({"search.method": "random", "engine.backend": "reference"})
-clalign.match((vertices, faces), (shapes.bent(vertices, 0.3), faces), options)
-facts = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-print(int(facts["VmHWM"].split()[0]) * 1024)
+with PeakMemory() as memory:
+    clalign.match((vertices, faces), (shapes.bent(vertices, 0.3), faces), options)
+print(memory.peak)
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc; getrusage would give the peak of the parent")
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the measure is an upper bound")
 def test_memory_of_a_real_match_is_predicted_within_a_factor_of_two() -> None:
     command = [sys.executable, "-c", MEASURE, str(Path(__file__).parents[1])]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=200)
@@ -64,6 +64,39 @@ def test_more_of_anything_needs_more() -> None:
         assert other.memory >= base.memory
         assert other.seconds >= base.seconds
     assert forecast(5000, 5000, Options(), processors=8).seconds < base.seconds
+
+
+def test_helpers_of_large_meshes_count_where_they_are_started() -> None:
+    """One more processor: one more interpreter, each with rows and factors of its mesh."""
+    size = sizes(50_000, 50_000, Options())
+    rows = 4 * size.samples * 50_000
+    one, two, many = (forecast(50_000, 50_000, Options(), processors=number).host for number in (1, 2, 16))
+    assert two["preparation"] - one["preparation"] > rows + forecasts.HELPER_BYTES
+    assert many == two
+    assert all(two[stage] == one[stage] for stage in one if stage != "preparation")
+    # Too small a mesh is sampled here; then a second processor only means that both are at work at once.
+    small = [forecast(600, 600, Options(), processors=number).match_memory for number in (1, 2)]
+    assert 0 <= small[1] - small[0] < forecasts.HELPER_BYTES / 2
+
+
+@pytest.mark.parametrize("alternatives", [1, 3])
+def test_growing_takes_its_time_for_every_map(alternatives: int) -> None:
+    def up_sampling(changes: dict[str, object], count: int = 5000) -> float:
+        return forecast(count, count, Options().replace(changes), processors=1).stages["up-sampling"]
+
+    base = up_sampling({})
+    assert up_sampling({"search.alternatives": alternatives}) == pytest.approx((1 + alternatives) * base)
+    assert up_sampling({}, 10_000) > 1.5 * base
+    assert 0 < up_sampling({"readout.refine": "upsample"}) < base
+    assert up_sampling({"readout.refine": "upsample"}) < up_sampling({"readout.refine": "wavelet"})
+    assert up_sampling({"readout.refine": "none"}) == up_sampling({"search.method": "random"}) == 0
+
+
+def test_growing_holds_all_functions_on_the_device() -> None:
+    size = sizes(5000, 6000, Options())
+    held = forecast(5000, 6000, Options()).device["up-sampling"]
+    assert held > 4 * size.both * (size.functions + size.descriptors)
+    assert "up-sampling" not in forecast(5000, 6000, Options().replace({"readout.refine": "none"})).device
 
 
 def test_what_fits_is_let_through_with_its_forecast() -> None:

@@ -5,18 +5,21 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
+import signal
+import subprocess
 import sys
 import threading
-import time
 from concurrent.futures import CancelledError
 from pathlib import Path
 
 import analytic
 import numpy as np
 import pytest
+from waiting import wait_until
 
-from clalign.errors import MeshError
+from clalign.errors import MemoryBudgetError, MeshError
 from clalign.geometry import heat_process, heat_server, shape
+from clalign.geometry.geodesics import farthest_point_geodesics
 from clalign.geometry.heat import FarthestPoints, Surface, farthest_points
 from clalign.geometry.heat_process import HeatProcess
 from clalign.geometry.mesh import Mesh
@@ -130,6 +133,61 @@ def test_a_crash_of_native_code_is_an_error_of_the_mesh(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.usefixtures("not_here")
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGTERM])
+def test_a_kill_from_outside_is_no_error_of_the_mesh(
+    bumpy: Surface, monkeypatch: pytest.MonkeyPatch, ending: signal.Signals
+) -> None:
+    """As the system kills where memory runs out: this process, with all it holds, must not be the next."""
+    kill = f"import os, sys; sys.stdin.buffer.read(20); os.kill(os.getpid(), {int(ending)})"
+    with HeatProcess() as heat:
+        with monkeypatch.context() as patch:
+            patch.setattr(heat_process, "PROGRAM", kill)
+            with pytest.raises(MemoryBudgetError, match=rf"bumpy: .*{ending.name}.* CLALIGN_THREADS=1"):
+                heat.farthest_points(bumpy, 5, 6, 2)
+        # The next one starts another.
+        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_other_signals_leave_the_work_to_this_interpreter(bumpy: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
+    end = f"import os, sys; sys.stdin.buffer.read(20); os.kill(os.getpid(), {int(signal.SIGHUP)})"
+    monkeypatch.setattr(heat_process, "PROGRAM", end)
+    with HeatProcess() as heat:
+        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+
+
+@pytest.mark.usefixtures("not_here")
+def test_two_meshes_have_two_processes_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Neither answers before both were asked."""
+    meeting = f"""import os, pathlib, time
+from clalign.geometry import heat_server
+folder, answer, limit = pathlib.Path({str(tmp_path)!r}), heat_server.answer, time.monotonic() + 100
+def met(body):
+    (folder / str(os.getpid())).touch()
+    while len(list(folder.iterdir())) < 2:
+        assert time.monotonic() < limit
+        time.sleep(0.01)
+    return answer(body)
+heat_server.answer = met
+heat_server.main()"""
+    meshes = [
+        analytic.as_unit_mesh(analytic.bumpy(3), "bumpy"),
+        analytic.as_unit_mesh(analytic.torus(30, 15, 0.4), "t"),
+    ]
+    few = {"spectrum.basis": 20, "spectrum.refinement": 30, "spectrum.descriptors": 40, "geodesics.search_samples": 50}
+    monkeypatch.setattr(heat_process, "PROGRAM", ANSWER_FIRST + meeting)
+    monkeypatch.setattr(shape, "processor_count", lambda: 2)
+    shapes = shape.prepare_all(meshes, Options().replace(few))
+    numbers = {int(path.name) for path in tmp_path.iterdir()}
+    assert len(numbers) == 2
+    assert os.getpid() not in numbers
+    assert all(gone(number) for number in numbers)
+    for one, mesh in zip(shapes, meshes, strict=True):
+        np.testing.assert_array_equal(one.geodesics.samples, farthest_point_geodesics(mesh, 50, 100).samples)
+
+
 @pytest.mark.parametrize(
     "program",
     [
@@ -171,12 +229,15 @@ def test_a_frozen_program_is_not_started_again(bumpy: Surface, monkeypatch: pyte
 
 
 @pytest.mark.usefixtures("not_here")
+@pytest.mark.parametrize("entry", ["", ".", "modules"])
 def test_modules_in_the_working_folder_are_not_taken_for_libraries(
-    bumpy: Surface, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    entry: str, bumpy: Surface, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    folder = tmp_path / entry
+    folder.mkdir(exist_ok=True)
     for name in ("json", "numpy", "clalign"):
-        (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong one')", encoding="utf-8")
-    monkeypatch.setattr(sys, "path", [os.path.abspath(folder) for folder in sys.path if folder])
+        (folder / f"{name}.py").write_text("raise SystemExit('the wrong one')", encoding="utf-8")
+    monkeypatch.setattr(sys, "path", [entry, *(os.path.abspath(folder) for folder in sys.path if folder)])
     monkeypatch.chdir(tmp_path)
     with HeatProcess() as heat:
         assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
@@ -197,8 +258,8 @@ def test_stopping_ends_a_process_that_is_at_work(bumpy: Surface, monkeypatch: py
 
     thread = threading.Thread(target=ask)
     thread.start()
-    while heat._process is None:
-        time.sleep(0.01)
+    wait_until(lambda: heat._process is not None)
+    assert heat._process is not None
     number = heat._process.pid
     heat.stop()
     thread.join(60)
@@ -221,8 +282,7 @@ def test_an_interrupt_during_preparation_ends_the_process(monkeypatch: pytest.Mo
         return process
 
     def interrupt(*_: object) -> None:
-        while not numbers:
-            time.sleep(0.01)
+        wait_until(lambda: bool(numbers))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(heat_process, "_started", noted)
@@ -252,6 +312,22 @@ def test_what_the_process_imports() -> None:
         loaded = set(output.read().split())
     assert {"numpy", "potpourri3d", heat_server.__name__} <= loaded
     assert not loaded & {"trimesh", "scipy.linalg", "scipy.spatial", "pyopencl", "clalign.geometry.mesh"}
+
+
+def test_a_package_found_in_the_working_folder_is_found_by_the_process(tmp_path: Path) -> None:
+    """As from a checkout that is not installed, whose only entry in the path is the working folder."""
+    program = """import sys
+sys.path = [folder for folder in sys.path if folder != sys.argv[1]]
+sys.path.insert(0, "")
+from clalign.geometry import heat_process
+print(*heat_process._module_path(), sep="\\n")"""
+    root = str(Path(heat_process.__file__).parents[2])
+    done = subprocess.run(
+        [sys.executable, "-c", program, root], cwd=root, capture_output=True, text=True, check=True, timeout=100
+    )
+    folders = done.stdout.splitlines()
+    assert folders[-1] == root
+    assert all(os.path.isabs(folder) for folder in folders)
 
 
 def test_a_lost_process_is_logged(
