@@ -54,7 +54,7 @@ class _Recorder:
         self.value = np.inf
         self.evaluations = 0
         self.error: BaseException | None = None
-        self._stop = stop
+        self._stop: Callable[[], None] | None = stop
 
     def __call__(self, x: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         if self.error is not None:
@@ -63,8 +63,18 @@ class _Recorder:
             return self._evaluate(np.array(x, dtype=np.float64), gradient)
         except BaseException as error:
             self.error = error
-            self._stop()
+            if self._stop is not None:
+                self._stop()
             return float("inf")
+
+    def release(self) -> None:
+        """Let go of the objective and of the optimiser.
+
+        nlopt keeps its callback, and the callback knows the optimiser: a circle through C, which the collector cannot
+        see and which would keep every problem that was ever solved in memory.
+        """
+        self.objective = _released
+        self._stop = None
 
     def _evaluate(self, point: NDArray[np.float64], gradient: NDArray[np.float64]) -> float:
         value, slope = self.objective(point)
@@ -111,11 +121,17 @@ def minimise(
         optimiser.optimize(recorder.best)
     except KeyboardInterrupt as error:
         recorder.error = recorder.error or error
+    finally:
+        recorder.release()
     if recorder.error is not None and not isinstance(recorder.error, KeyboardInterrupt):
         raise recorder.error
     status = "interrupted" if recorder.error else _status(optimiser.last_optimize_result(), recorder)
     LOG.debug("L-BFGS: %s after %d evaluations at %.6g", status, recorder.evaluations, recorder.value)
     return Minimum(recorder.best, recorder.value, recorder.evaluations, status)
+
+
+def _released(point: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    raise RuntimeError("the optimisation has ended")
 
 
 def _status(code: int, recorder: _Recorder) -> Status:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Callable
 
 import numpy as np
@@ -155,3 +157,18 @@ def test_the_start_is_not_written_to(rng: np.random.Generator) -> None:
     start = np.zeros(5)
     minimise(objective, start, 50)
     np.testing.assert_array_equal(start, 0.0)
+
+
+def test_the_objective_can_be_collected_afterwards() -> None:
+    """nlopt keeps its callback for ever; what the callback held must not stay with it."""
+
+    class Problem:
+        def value(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+            return float(x @ x), 2.0 * x
+
+    problem = Problem()
+    alive = weakref.ref(problem)
+    assert minimise(problem.value, np.ones(3), 20).value < 1e-12
+    del problem
+    gc.collect()
+    assert alive() is None

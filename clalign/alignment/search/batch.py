@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from clalign.engine.backend import Backend, DistortionKind
 
+from .once import once
 from .sampled import SampledShape
 
 
@@ -65,23 +65,23 @@ class SamplePair:
         )
         return Level(min(level.size, largest), queries, points)
 
-    @lru_cache(maxsize=128)  # noqa: B019 - lives and dies with one search
+    @once
     def points(self, count: int, size: int) -> tuple[Any, Any]:
         """Return the first `size` functions at the first `count` samples of X, and their halved squared norms."""
         values = np.ascontiguousarray(self.source.functions[:count, :size])
         return self.backend.array(values), self.backend.array(0.5 * np.sum(values**2, axis=1))
 
-    @lru_cache(maxsize=128)  # noqa: B019
+    @once
     def synthesis(self, count: int, size: int) -> Any:
         """Return the first `size` functions at the first `count` samples of Y."""
         return self.backend.array(np.ascontiguousarray(self.target.functions[:count, :size]))
 
-    @lru_cache(maxsize=128)  # noqa: B019
+    @once
     def analysis(self, count: int, size: int) -> Any:
         """Return the least-squares analysis of Y on the backend; see `SampledShape.analysis`."""
         return self.backend.array(self.target.analysis(count, size))
 
-    @lru_cache(maxsize=32)  # noqa: B019
+    @once
     def distances(self, queries: int, points: int) -> tuple[Any, Any, Any]:
         """Return distances among samples of X, among samples of Y, and the weights of the latter."""
         return (

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.geometry.geodesics import prefix_shares
 from clalign.geometry.shape import Shape
+
+from .once import once
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +55,12 @@ class SampledShape:
             self.curvatures,
         )
 
-    @lru_cache(maxsize=64)  # noqa: B019 - lives and dies with one search
+    @once
     def prefix_weights(self, count: int) -> NDArray[np.float64]:
         """Return the area that falls to each of the first `count` samples, from the cells of all samples."""
         return prefix_shares(self.distances, self.weights, count)
 
-    @lru_cache(maxsize=256)  # noqa: B019
+    @once
     def analysis(self, count: int, size: int) -> NDArray[np.float64]:
         """Return (size, count): coefficients of a function from its values at samples, by weighted least squares."""
         basis = self.functions[:count, :size]
