@@ -22,6 +22,7 @@ from clalign.geometry.mesh import Mesh
 from clalign.geometry.spectra import Spectrum
 from clalign.options import Options
 from clalign.storage import atomic_folder, recover
+from clalign.vertex_maps import check_map, write_map
 
 RESULT_FORMAT = 1
 #: How the warning of a match begins that Ctrl-C has cut short.
@@ -81,6 +82,7 @@ class Correspondence:
     options, versions : what is needed to repeat the match.
     source_faces, source_barycentric : (file_count_x,) int64 and (file_count_x, 3) float64, the point of the target
         of every source vertex as a target face and weights of its corners; None without the sub-vertex read-out.
+    score : how badly the chosen map keeps distances, as `Alternative.score`; NaN where no search was made.
 
     Raises
     ------
@@ -111,6 +113,7 @@ class Correspondence:
     versions: dict[str, str]
     source_faces: NDArray[np.int64] | None = None
     source_barycentric: NDArray[np.float64] | None = None
+    score: float = math.nan
 
     def __post_init__(self) -> None:
         source, target = self.source, self.target
@@ -141,6 +144,13 @@ class Correspondence:
         """Whether Ctrl-C cut the match short; `match` returns then, so a loop over many pairs should ask and end."""
         return any(warning.startswith(INTERRUPTED) for warning in self.warnings)
 
+    def __repr__(self) -> str:
+        source, target = self.source, self.target
+        confidence = "" if math.isnan(self.confidence) else f", confidence {self.confidence:.2f}"
+        orientation = "" if math.isnan(self.orientation) else f", orientation {self.orientation:+.2f}"
+        counts = f"{source.n_vertices:,} -> {target.n_vertices:,} vertices"
+        return f"<Correspondence {source.name} -> {target.name}: {counts}{confidence}{orientation}>"
+
     def _repr_html_(self) -> str:
         """Show the match in a notebook."""
         from clalign.presentation.notebook import notebook_html
@@ -156,6 +166,7 @@ class Correspondence:
             "device": self.device,
             "confidence": _plain(self.confidence),
             "orientation": _plain(self.orientation),
+            "score": _plain(self.score),
             "losses": {name: _plain(value) for name, value in self.losses.items()},
             "counts": self._counts(),
             "timings": {name: _plain(value) for name, value in self.timings.items()},
@@ -227,36 +238,6 @@ class Correspondence:
         except (KeyError, TypeError, ValueError, IndexError) as error:
             detail = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
             raise ResultError(f"{folder}: the result is damaged: {detail}; match the meshes again") from error
-
-
-def check_map(name: str, values: NDArray[np.int64], count: int, other_count: int) -> None:
-    """Check a vertex map: one entry a vertex, each -1 or a vertex of the other mesh.
-
-    Parameters
-    ----------
-    name : how messages call the map.
-    values : (count,) integers.
-    count, other_count : vertices of the mesh that the map starts from, and of the one it leads to.
-
-    Raises
-    ------
-    ResultError
-        Wrong size or type, or an entry outside the other mesh.
-    """
-    if values.ndim != 1 or len(values) != count:
-        raise ResultError(f"{name}: has shape {values.shape}, expected one entry for each of {count} vertices")
-    if not np.issubdtype(values.dtype, np.integer):
-        raise ResultError(f"{name}: holds {values.dtype} values, expected integers")
-    bad = np.flatnonzero((values < -1) | (values >= other_count))
-    if len(bad):
-        raise ResultError(
-            f"{name}: entry {bad[0]} is {values[bad[0]]}, but the other mesh has vertices 0 to {other_count - 1}"
-        )
-
-
-def write_map(path: Path, values: NDArray[np.int64]) -> None:
-    """Write a vertex map as text: line i holds the 0-based vertex of the other file, -1 for none."""
-    path.write_text("".join(f"{value}\n" for value in values.tolist()), encoding="ascii")
 
 
 def _plain(value: float) -> float | None:
@@ -371,6 +352,8 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         versions=dict(facts["versions"]),
         source_faces=arrays.get("source_faces"),
         source_barycentric=arrays.get("source_barycentric"),
+        # A result of before the score was kept has none.
+        score=_number(facts.get("score")),
     )
 
 

@@ -127,12 +127,13 @@ def _correspondence(
         distortion=local_distortion(source, target, pair.maps.target_of_source),
         alternatives=_alternatives(source, target, pair),
         timings=pair.timings,
-        warnings=_warnings(source.mesh, target.mesh, pair, confidence),
+        warnings=_warnings(source.mesh, target.mesh, pair, confidence, options.search.alternatives),
         device=backend.name,
         options=options,
         versions=_versions(),
         source_faces=faces,
         source_barycentric=barycentric,
+        score=float("nan") if found is None else found.score,
     )
 
 
@@ -194,11 +195,14 @@ def _alternatives(source: Shape, target: Shape, pair: AlignedPair) -> tuple[Alte
     return tuple(alternatives)
 
 
-def _warnings(source: Mesh, target: Mesh, pair: AlignedPair, confidence: float) -> tuple[str, ...]:
+def _warnings(source: Mesh, target: Mesh, pair: AlignedPair, confidence: float, alternatives: int) -> tuple[str, ...]:
     """Return what a user has to know, and raise it as Python warnings too."""
     messages = []
     if pair.alignment.status == "interrupted":
         messages.append(f"{INTERRUPTED}what was left to do was cut short, and the best map so far was kept")
+    elif pair.search is not None and len(pair.rivals) < alternatives:
+        found = f"only {len(pair.rivals)} different map{' was' if len(pair.rivals) == 1 else 's were'}"
+        messages.append(f"{found if pair.rivals else 'no different map was'} found ({alternatives} asked for)")
     messages += [f"{mesh.name}: {note}" for mesh in (source, target) for note in mesh.notes]
     doubts = []
     if pair.search is not None and abs(pair.search.orientation) < LOW_ORIENTATION:
@@ -209,9 +213,10 @@ def _warnings(source: Mesh, target: Mesh, pair: AlignedPair, confidence: float) 
     if pair.search is None:
         doubts.append("no search was made (search.method=random), so the map may be mirrored or wrong")
     elif confidence < LOW_CONFIDENCE:
+        way = "see the rivals on the page" if pair.rivals else "ask for --alternatives 3 to see the rivals"
         doubts.append(
             f"low confidence ({confidence:.2f}): a different map explains the shapes almost as well; "
-            "look at the picture, and ask for --alternatives 3 to see the rivals"
+            f"look at the picture, and {way}"
         )
     for doubt in doubts:
         python_warnings.warn(doubt, ConfidenceWarning, stacklevel=3)

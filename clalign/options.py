@@ -7,6 +7,7 @@ changed with `options.replace({"alignment.weight": 50})`, which is what the comm
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -250,7 +251,8 @@ class Options:
                 continue
             group = getattr(self, group_name, None)
             if not dataclasses.is_dataclass(group):
-                raise OptionError(f"unknown option group {group_name!r} in {key!r}; there are {_group_names()}")
+                ways = _meant(key) or f"there are {_group_names()}"
+                raise OptionError(f"unknown option group {group_name!r} in {key!r}; {ways}")
             groups.setdefault(group_name, {})[name] = _converted(group, name, key, value)
         for group_name, values in groups.items():
             top[group_name] = dataclasses.replace(getattr(self, group_name), **values)
@@ -276,11 +278,25 @@ def _group_names() -> str:
     return ", ".join(f.name for f in dataclasses.fields(Options) if f.name != "seed")
 
 
+def _meant(key: str) -> str:
+    """Return a question after the options of that name in any group, else after the most alike one; "" for none."""
+    values = dataclasses.asdict(Options())
+    known = [f"{group}.{name}" for group, inner in values.items() if isinstance(inner, dict) for name in inner]
+    group, _, name = key.rpartition(".")
+    same = [option for option in known if option.partition(".")[2] == name]
+    inner = values.get(group)
+    if isinstance(inner, dict):
+        found = same or [f"{group}.{near}" for near in difflib.get_close_matches(name, inner, 1)]
+    else:
+        found = same or difflib.get_close_matches(key, known, 1, 0.75)
+    return f"did you mean {' or '.join(found)}?" if found else ""
+
+
 def _converted(group: Any, name: str, key: str, value: Any) -> Any:
     names = [f.name for f in dataclasses.fields(group)]
     current = getattr(group, name, None)
     if name not in names or dataclasses.is_dataclass(current):
-        raise OptionError(f"unknown option {key!r}; there are {', '.join(names)}")
+        raise OptionError(f"unknown option {key!r}; {_meant(key) or 'there are ' + ', '.join(names)}")
     kind: type[Any] = type(current)
     if kind is bool and isinstance(value, str):
         words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}

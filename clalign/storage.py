@@ -40,9 +40,18 @@ def check_destination(folder: Path, marker: str, *, force: bool) -> None:
     Raises
     ------
     ResultError
-        The path is a file, an earlier result that may not be replaced, a folder with other content, or its parent
-        cannot be written to.
+        The path is a file, an earlier result that may not be replaced, a folder with other content, or no folder can
+        be made beside it.
     """
+    try:
+        _check_free(folder, marker, force=force)
+        _probe(folder)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ResultError(f"{folder}: cannot be written ({reason}); choose another --out") from error
+
+
+def _check_free(folder: Path, marker: str, *, force: bool) -> None:
     recover(folder)
     if folder.is_dir():
         if any(folder.iterdir()):
@@ -52,11 +61,25 @@ def check_destination(folder: Path, marker: str, *, force: bool) -> None:
                 raise ResultError(f"{folder}: already holds a result; give --force to replace it, or another --out")
     elif folder.exists() or folder.is_symlink():
         raise ResultError(f"{folder}: is not a folder; choose another --out")
-    parent = folder.absolute().parent
+
+
+def _probe(folder: Path) -> None:
+    """Make and remove a folder where the unfinished one will be; access rights do not tell everything beforehand."""
+    folder = folder.absolute()
+    parent = folder.parent
     while not parent.exists():
         parent = parent.parent
-    if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise ResultError(f"{folder}: cannot be written, {parent} is not a writable folder; choose another --out")
+    if not parent.is_dir():
+        raise ResultError(f"{folder}: cannot be written, {parent} is not a folder; choose another --out")
+    try:
+        probe = parent / (_prefix(folder, "new") + secrets.token_hex(6))
+        probe.mkdir()
+        probe.rmdir()
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ResultError(
+            f"{folder}: cannot be written, {parent} takes no new folder ({reason}); choose another --out"
+        ) from error
 
 
 @contextlib.contextmanager

@@ -52,6 +52,25 @@ def test_save_and_load_return_every_field(tmp_path: Path, true_correspondence: C
     assert leftovers(tmp_path) == []
 
 
+def test_results_and_meshes_show_themselves_in_one_line(true_correspondence: Correspondence) -> None:
+    name = f"{true_correspondence.source.name} -> {true_correspondence.target.name}"
+    assert repr(true_correspondence) == (
+        f"<Correspondence {name}: 642 -> 642 vertices, confidence 0.75, orientation +0.98>"
+    )
+    nothing = dataclasses.replace(true_correspondence, confidence=float("nan"), orientation=float("nan"))
+    assert repr(nothing) == f"<Correspondence {name}: 642 -> 642 vertices>"
+    assert repr(nothing.source) == f"<Mesh {nothing.source.name}: 642 vertices, 1,280 faces>"
+
+
+def test_results_from_before_the_score_load(tmp_path: Path, true_correspondence: Correspondence) -> None:
+    true_correspondence.save(tmp_path / "result")
+    path = tmp_path / "result" / MARKER
+    facts = json.loads(path.read_text(encoding="utf-8"))
+    assert facts.pop("score") == true_correspondence.score
+    path.write_text(json.dumps(facts), encoding="utf-8")
+    assert np.isnan(Correspondence.load(tmp_path / "result").score)
+
+
 def test_map_files_hold_the_other_files_vertex_in_line_i(tmp_path: Path, true_correspondence: Correspondence) -> None:
     true_correspondence.save(tmp_path / "result")
     forward = (tmp_path / "result" / "target_of_source.txt").read_text().splitlines()

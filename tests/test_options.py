@@ -85,7 +85,7 @@ def test_every_choice_lists_what_there_is(name: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"spectrum.basiss": 3}, "unknown option 'spectrum.basiss'; there are basis"),
+        ({"spectrum.basiss": 3}, "unknown option 'spectrum.basiss'; did you mean"),
         ({"spectra.basis": 3}, "unknown option group 'spectra'"),
         ({"spectrum": 3}, "unknown option 'spectrum'"),
         ({"sed": 3}, "unknown option 'sed'"),

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 EXIT_UNUSABLE = 2
 INDEX_SUFFIX = ".index.txt"
+LITTLE_AREA = 0.5
+"""A repaired mesh with less of the area than this is hardly what was meant."""
 
 _DESCRIPTION = """\
 Examine mesh files: what is wrong with each, what the program does about it when it loads the mesh, and the time and
@@ -68,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
         document["repaired"] = repair_file(args.meshes[0], args.repair, merge=args.merge, force=args.force)
         usable = True
     terminal = Terminal(as_json=args.json)
+    if "repaired" in document and document["repaired"]["area_share"] < LITTLE_AREA:
+        terminal.warn(_little_left(document["repaired"]))
     for line in report(document):
         terminal.say(line)
     terminal.document(document)
@@ -182,12 +186,12 @@ def repair_file(path: Path, out: Path, *, merge: bool, force: bool) -> dict[str,
     ResultError
         The copy cannot be written.
     """
-    from clalign.correspondence import write_map
     from clalign.errors import MeshError
     from clalign.geometry.mesh_files import read_mesh_file
     from clalign.geometry.mesh_repair import repair
     from clalign.geometry.mesh_writing import save_mesh
     from clalign.storage import atomic_files
+    from clalign.vertex_maps import write_map
 
     raw = read_mesh_file(path)
     try:
@@ -203,6 +207,8 @@ def repair_file(path: Path, out: Path, *, merge: bool, force: bool) -> dict[str,
         "index": str(paths[1]),
         "vertices": len(repaired.vertices),
         "triangles": len(repaired.faces),
+        "area_share": repaired.area_share,
+        "way_out": repaired.merge_advice,
         "notes": [*raw.notes, *repaired.notes],
     }
 
@@ -262,6 +268,12 @@ def _duration(seconds: float) -> str:
     if seconds < 90:
         return f"{max(5 * round(seconds / 5), 5)} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _little_left(repaired: dict[str, Any]) -> str:
+    way_out = f", or {repaired['way_out']}" if repaired["way_out"] else ""
+    share = f"{100 * repaired['area_share']:.2g} %"
+    return f"{repaired['mesh']}: only {share} of the area is left; look at it before use{way_out}"
 
 
 def _repair_lines(repaired: dict[str, Any]) -> list[str]:

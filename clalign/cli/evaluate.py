@@ -58,8 +58,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         default="heat",
         help="'heat' (default), or 'bounded': never below the straight distance",
     )
-    parser.add_argument("--csv", metavar="FILE", type=Path, help="write the error of every measured point")
-    parser.add_argument("--picture", metavar="FILE", type=Path, help="draw the error curve (PNG, SVG or PDF)")
+    parser.add_argument(
+        "--csv", metavar="FILE", type=Path, help="write the error of every measured point; an existing FILE is replaced"
+    )
+    parser.add_argument(
+        "--picture",
+        metavar="FILE",
+        type=Path,
+        help="draw the error curve (PNG, SVG or PDF); an existing FILE is replaced",
+    )
     parser.add_argument("--json", action="store_true", help="print all figures and curves as one JSON document")
     parser.add_argument("--quiet", action="store_true", help="print nothing but warnings and errors")
     parser.set_defaults(run=run)

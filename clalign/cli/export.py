@@ -46,7 +46,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         required=True,
         help="one of the formats above; may be repeated",
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("."), help="folder to write to (default: here)")
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        default=Path("."),
+        help="folder to write to (default: here); existing files of the names above are replaced",
+    )
     parser.add_argument("--up", choices=("x", "y", "z"), help="axis of the target that points up, where it is drawn")
     parser.set_defaults(run=run)
 

@@ -67,7 +67,7 @@ def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> 
         action="append",
         default=[],
         dest="changes",
-        help="change any single option; may be repeated; result.json lists all of them",
+        help="change any single option; may be repeated; 'clalign options' lists all of them",
     )
     parser.add_argument("--no-cache", action="store_true", help="compute everything anew and store nothing for later")
     parser.add_argument("--no-picture", action="store_true", help="do not draw match.png")
@@ -125,11 +125,13 @@ def run_job(
     from clalign.geometry.mesh import load_mesh
     from clalign.storage import check_destination
 
-    check_destination(args.out, FACTS_FILE, force=force)
     with Interrupts() as interrupts:
         source, target = load_mesh(source_path), load_mesh(target_path)
         truths = truths_of(source, target)
-        terminal.note(f"device: {_device(options)}")
+        device = _device(options)
+        # Last, so that no mistake elsewhere comes to light only after --force was added.
+        check_destination(args.out, FACTS_FILE, force=force)
+        terminal.note(f"device: {device}")
         for role, mesh in (("source", source), ("target", target)):
             terminal.note(f"{role}: {mesh.path}, {mesh.n_vertices:,} vertices, {mesh.n_faces:,} faces")
         result = _matched(source, target, options, args, terminal, interrupts)

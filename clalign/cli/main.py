@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import difflib
 import errno
 import logging
 import os
@@ -15,10 +16,24 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
-from typing import NoReturn, Protocol, TextIO
+from typing import Any, NoReturn, Protocol, TextIO
 
 from clalign import __version__
-from clalign.cli import bench, cache, check, collection, demo, doctor, evaluate, export, figures, match, show, transfer
+from clalign.cli import (
+    bench,
+    cache,
+    check,
+    collection,
+    demo,
+    doctor,
+    evaluate,
+    export,
+    figures,
+    match,
+    options,
+    show,
+    transfer,
+)
 from clalign.errors import ClalignError, DeviceError, InputError
 
 EXIT_FAILED = 1
@@ -29,7 +44,7 @@ EXIT_INTERRUPTED = 130
 class Command(Protocol):
     """What a module of this folder offers."""
 
-    def add_parser(self, subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    def add_parser(self, subparsers: argparse._SubParsersAction[Any]) -> None:
         """Add the command's parser and set its ``run`` default."""
 
 
@@ -45,6 +60,7 @@ COMMANDS: tuple[Command, ...] = (
     figures,
     bench,
     cache,
+    options,
     doctor,
 )
 
@@ -64,6 +80,23 @@ class _WideHelp(argparse.RawDescriptionHelpFormatter):
         self._action_max_length = 14
 
 
+class _CommandParser(argparse.ArgumentParser):
+    """Refuses what a command does not know itself; argparse leaves that to the program, whose usage says nothing."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Return the namespace and no left-over words."""
+        namespace, left = super().parse_known_args(args, namespace)
+        if left:
+            self.error(f"unrecognized arguments: {' '.join(left)}{self._meant(left)}")
+        return namespace, left
+
+    def _meant(self, words: Sequence[str]) -> str:
+        wrong = next((word.partition("=")[0] for word in words if word.startswith("--")), "")
+        known = [name for action in self._actions for name in action.option_strings]
+        near = difflib.get_close_matches(wrong, known, 1)
+        return f"; did you mean {near[0]}?" if near else ""
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the program with all commands."""
     parser = argparse.ArgumentParser(
@@ -74,7 +107,7 @@ def build_parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"clalign {__version__}")
-    subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_CommandParser)
     for command in COMMANDS:
         command.add_parser(subparsers)
     return parser
@@ -82,7 +115,12 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; no failure that clalign raises on purpose shows a stack trace."""
-    args = build_parser().parse_args(arguments)
+    parser = build_parser()
+    words = sys.argv[1:] if arguments is None else arguments
+    if not words:
+        parser.print_help(sys.stderr)
+        return EXIT_USAGE
+    args = parser.parse_args(words)
     debug = os.environ.get("CLALIGN_DEBUG", "") not in ("", "0")
     _set_up_messages(debug)
     try:

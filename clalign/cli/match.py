@@ -25,7 +25,7 @@ _EPILOG = """\
 examples:
   clalign match cat0.off cat7.off
   clalign match a.ply b.ply --out a-to-b --truth identity --seed 1
-  clalign match a.ply b.ply --truth points-on-a.txt --truth points-on-b.txt
+  clalign match a.ply b.ply --truth points-on-a.txt points-on-b.txt
   clalign match a.ply b.ply --preset fast --set spectrum.basis=80 --set alignment.weight=50
 """
 
@@ -47,10 +47,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--truth",
         metavar="FILE",
-        action="append",
+        nargs="+",
+        action="extend",
         default=[],
-        help="measure the error: FILE holds the target vertex (0-based) of source vertex i in line i, or is the word "
-        "'identity'; given twice, line i of both files names the same point on the source and on the target",
+        help="after the meshes; measure the error: FILE holds the target vertex (0-based) of source vertex i in line "
+        "i, or is the word 'identity'; with two files, line i of both names the same point on source and target",
     )
     parser.set_defaults(run=run)
 

@@ -40,6 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _open_page(args: argparse.Namespace) -> int:
+    import sys
     import webbrowser
 
     from clalign.correspondence import Correspondence
@@ -54,4 +55,7 @@ def _open_page(args: argparse.Namespace) -> int:
         except OSError as error:
             raise ResultError(f"{page}: cannot be written: {error.strerror or error}") from error
     print(page)
-    return 0 if webbrowser.open(page.as_uri()) else 1
+    if webbrowser.open(page.as_uri()):
+        return 0
+    print("no browser could be started; open this file yourself", file=sys.stderr)
+    return 1

@@ -47,7 +47,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("result", metavar="RESULT", type=Path, help="folder that 'clalign match' wrote")
     parser.add_argument("kind", metavar="KIND", choices=KINDS, help=", ".join(KINDS))
     parser.add_argument("file", metavar="FILE", type=Path, help="what to carry")
-    parser.add_argument("--out", metavar="OUT", type=Path, required=True, help="file to write; its suffix says how")
+    parser.add_argument(
+        "--out",
+        metavar="OUT",
+        type=Path,
+        required=True,
+        help="file to write; its suffix says how; an existing OUT is replaced",
+    )
     parser.add_argument(
         "--from",
         dest="origin",

@@ -43,6 +43,9 @@ class Mesh:
     notes: tuple[str, ...]
     """What was put right while loading, as sentences for the user."""
 
+    def __repr__(self) -> str:
+        return f"<Mesh {self.name}: {self.n_vertices:,} vertices, {self.n_faces:,} faces>"
+
     @property
     def n_vertices(self) -> int:
         """Number of vertices on the surface."""

@@ -114,17 +114,20 @@ def _read_off(content: bytes) -> FileMesh:
     vertex_rows = [row.split() for row in rows[1 : n_vertices + 1]]
     _same_width(vertex_rows)
     vertices = _positions([words[:3] for words in vertex_rows])
-    polygons = []
-    for number, row in enumerate(rows[n_vertices + 1 : n_vertices + n_faces + 1]):
-        words = row.split()
-        size = _integer(words[0], "face", number)
-        if not 3 <= size < len(words):
-            raise _FormatError(
-                f"face {number} is given as {_shown(row)}: expected a count of 3 or more and as many "
-                "numbers; mend that line, or export the mesh again"
-            )
-        polygons.append(words[1 : size + 1])
+    polygons = [_corners(row, number) for number, row in enumerate(rows[n_vertices + 1 : n_vertices + n_faces + 1])]
     return FileMesh(vertices, _triangles(polygons))
+
+
+def _corners(row: bytes, number: int) -> list[bytes]:
+    """The vertex numbers of a face that is given as their count and themselves."""
+    words = row.split()
+    size = _integer(words[0], "face", number)
+    if not 3 <= size < len(words):
+        raise _FormatError(
+            f"face {number} is given as {_shown(row)}: expected a count of 3 or more and as many "
+            "numbers; mend that line, or export the mesh again"
+        )
+    return words[1 : size + 1]
 
 
 def _read_obj(content: bytes) -> FileMesh:
@@ -178,11 +181,13 @@ def _read_ply(content: bytes) -> FileMesh:
             f"{promise}, more than the file can hold; the file is truncated or its counts are wrong; export it again"
         )
     if re.search(rb"^\s*format\s+ascii", header, re.MULTILINE):
-        n_lines = sum(1 for line in body.splitlines() if line.strip())
-        if n_lines != sum(counts.values()):
+        rows = [line for line in body.splitlines() if line.strip()]
+        if len(rows) != sum(counts.values()):
             raise _FormatError(
-                f"{promise}, but {n_lines} lines follow; the file is truncated or its counts are wrong; export it again"
+                f"{promise}, but {len(rows)} lines follow; the file is truncated or its counts are wrong; "
+                "export it again"
             )
+        _check_ply_rows(header, rows)
     # Comments may be in any encoding, which trimesh does not expect.
     plain_header = (header + header_end[0]).decode("ascii", errors="replace").encode("ascii", errors="replace")
     from trimesh.exchange.ply import load_ply
@@ -196,6 +201,36 @@ def _read_ply(content: bytes) -> FileMesh:
             "its counts are wrong, or it has faces with fewer than three corners; export it again"
         )
     return FileMesh(vertices, faces)
+
+
+def _check_ply_rows(header: bytes, rows: list[bytes]) -> None:
+    """Name the first row of a text PLY that is not what the header says; trimesh only says that something is wrong."""
+    first = 0
+    for element in re.split(rb"^\s*element\s+", header, flags=re.MULTILINE)[1:]:
+        name, count = element.split()[:2]
+        of_element = rows[first : first + int(count)]
+        first += int(count)
+        properties = re.findall(rb"^\s*property\s+(list\b)?", element, re.MULTILINE)
+        if name == b"vertex" and not any(properties):
+            for number, row in enumerate(of_element):
+                _check_numbers(row.split(), number, len(properties))
+            _same_width([row.split() for row in of_element])
+        if name == b"face" and properties[:1] == [b"list"]:
+            for number, row in enumerate(of_element):
+                for word in _corners(row, number):
+                    _integer(word, "face", number)
+
+
+def _check_numbers(words: list[bytes], number: int, wanted: int) -> None:
+    try:
+        complete = len([float(word) for word in words]) >= wanted
+    except ValueError:
+        complete = False
+    if not complete:
+        raise _FormatError(
+            f"vertex {number} is given as {_shown(b' '.join(words))}: expected {wanted} numbers; "
+            "mend that line, or export the mesh again"
+        )
 
 
 def _read_stl(content: bytes) -> FileMesh:

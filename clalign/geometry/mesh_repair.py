@@ -38,6 +38,10 @@ class Repaired:
     """(n,) the given number of every vertex; a number appears several times where the surface was cut open."""
     notes: tuple[str, ...]
     """What was changed, as sentences for the user; empty if nothing was."""
+    area_share: float
+    """Area that is left, as a part of that of all faces that have one."""
+    merge_advice: str
+    """What joining vertices at equal positions may mend, where that was not done and would join any; else empty."""
 
 
 def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False) -> Repaired:
@@ -64,21 +68,35 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False) -> Rep
     surface = _readable(Surface.whole(points, triangles), notes)
     if merge:
         surface = _merged(surface, notes)
-    surface = _without_degenerate(surface, notes)
+    advice = "" if merge or not _has_doubles(surface) else "add --merge to join vertices at equal positions"
+    surface = sound = _without_degenerate(surface, notes)
     if len(surface.faces):
         surface = _glued(surface, notes)
         surface = _largest_piece(surface, notes)
     diagnosis = diagnose(surface.vertices, surface.faces)
     if diagnosis.refused or diagnosis.surface is None:
         reasons = "; ".join(defect.problem for defect in diagnosis.refused)
-        raise MeshError(f"the mesh cannot be repaired; after {'; '.join(notes) or 'no changes'}: {reasons}")
+        changes = "; ".join(notes) or "no changes"
+        way_out = f"; {advice}" if advice else ""
+        raise MeshError(f"the mesh cannot be repaired; after {changes}: {reasons}{way_out}")
     final = diagnosis.surface
     notes += diagnosis.notes
     origin = surface.file_index[final.file_index]
     lost = len(points) - len(np.unique(origin))
     if lost:
         notes.append(f"{lost} of the {len(points)} given vertices are not in the result")
-    return Repaired(final.vertices, final.faces.astype(np.int32), origin, tuple(notes))
+    share = _area_share(sound, surface.face_index[final.face_index])
+    return Repaired(final.vertices, final.faces.astype(np.int32), origin, tuple(notes), share, advice)
+
+
+def _has_doubles(surface: Surface) -> bool:
+    return len(topology.merge_positions(surface.vertices)[0]) < len(surface.vertices)
+
+
+def _area_share(surface: Surface, kept: IntArray) -> float:
+    """Area of the faces with the given numbers `kept`, as a part of all."""
+    areas = topology.face_areas(topology.boxed(surface.vertices)[0], surface.faces)
+    return float(areas[np.isin(surface.face_index, kept)].sum() / areas.sum())
 
 
 def _readable(surface: Surface, notes: list[str]) -> Surface:

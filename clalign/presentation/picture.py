@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from clalign.correspondence import Correspondence
 from clalign.presentation.camera import Up, front_view, turn_to
 from clalign.presentation.colours import UNMATCHED, function_colours, position_colours
+from clalign.presentation.lettering import with_word
 from clalign.presentation.raster import png_bytes, rasterise, write_png
 from clalign.presentation.surface_map import SurfaceMap, surface_map
 
@@ -51,6 +52,7 @@ def match_image(correspondence: Correspondence, *, height: int = 900, up: Up | N
             (target.vertices @ view.T, target.faces, target_colours),
         ],
         height,
+        words=("source", "target"),
     )
 
 
@@ -98,6 +100,8 @@ def map_turn(source: NDArray[np.floating], target: NDArray[np.floating], to_targ
 def draw_row(
     shapes: Sequence[tuple[NDArray[np.float64], NDArray[np.integer], NDArray[np.float64]]],
     height: int,
+    *,
+    words: Sequence[str] = (),
 ) -> NDArray[np.uint8]:
     """Draw shapes side by side at one scale.
 
@@ -106,6 +110,7 @@ def draw_row(
     shapes : for each the vertices (n, 3) in viewing coordinates (right, up, towards the viewer), faces (m, 3) and
         colours (n, 3) in [0, 1].
     height : of the picture, in pixels.
+    words : one below each shape, where the picture is high enough (see `lettering`); none if empty.
 
     Returns
     -------
@@ -122,4 +127,6 @@ def draw_row(
         width = int(np.ceil((high[0] - low[0]) * scale)) + 2 * margin
         placed = (vertices - (low + high) / 2) * scale + (width / 2, height / 2, 0.0)
         panels.append(rasterise(placed, faces, colours, (width, height)))
+    if words:
+        panels = [with_word(panel, word, margin) for panel, word in zip(panels, words, strict=True)]
     return np.concatenate(panels, axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 
 import clalign
 from clalign.cli.main import COMMANDS, build_parser, main
+from clalign.options import Options
 
 PROGRAM = [sys.executable, "-m", "clalign.cli.main"]
 
@@ -68,6 +70,48 @@ def test_wrong_usage_is_status_2(arguments: list[str]) -> None:
     assert "Traceback" not in done.stderr
 
 
+def test_the_program_alone_shows_its_help() -> None:
+    done = run()
+    assert done.stderr == run("--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["match", "a", "b", "--alternative", "3"], "; did you mean --alternatives?"),
+        (["match", "a", "b", "--devise=cpu"], "; did you mean --device?"),
+        (["bench", "pair", "--jsn"], "; did you mean --json?"),
+        (["match", "a", "b", "--qqqqqq"], "--qqqqqq"),
+        (["match", "a", "b", "c"], "unrecognized arguments: c"),
+    ],
+)
+def test_mistyped_options_get_the_usage_of_their_command(
+    arguments: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith(f"usage: clalign {arguments[0]} ")
+    assert errors.endswith(f"{meant}\n")
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_options_lists_each_with_its_value_and_meaning(preset: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["options", "--preset", preset]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    changes = dict(line.split("=", 1) for line in lines if not line.startswith(" "))
+    assert Options().replace(changes) == Options.preset(preset)
+    flat = Options.preset(preset).as_dict()
+    assert len(changes) == sum(len(values) if isinstance(values, dict) else 1 for values in flat.values())
+    assert all(after.startswith("    ") for line, after in itertools.pairwise(lines) if not line.startswith(" "))
+
+
+@pytest.mark.parametrize("form", [["--truth", "A", "B"], ["--truth", "A", "--truth", "B"]])
+def test_match_takes_two_truths_in_both_forms(form: list[str]) -> None:
+    assert build_parser().parse_args(["match", "a", "b", *form, "--quiet"]).truth == ["A", "B"]
+
+
 def test_options_are_not_abbreviated() -> None:
     parser = build_parser()
     with pytest.raises(SystemExit):
@@ -79,7 +123,10 @@ def test_options_are_not_abbreviated() -> None:
     [
         (["--preset", "quick"], "default, fast, paper"),
         (["--set", "spectrum.basis"], "GROUP.NAME=VALUE"),
-        (["--set", "spectrum.bass=4"], "unknown option 'spectrum.bass'"),
+        (["--set", "spectrum.bass=4"], "unknown option 'spectrum.bass'; did you mean spectrum.basis?"),
+        (["--set", "metric=auto"], "unknown option 'metric'; did you mean spectrum.metric?"),
+        (["--set", "alignmnt.weight=4"], "did you mean alignment.weight?"),
+        (["--set", "spectrum.foo=4"], "there are basis, refinement"),
         (["--set", "spectrum.basis=many"], "spectrum.basis must be int"),
         (["--metric", "riemann"], "spectrum.metric must be one of"),
         (["--orientation", "left"], "search.orientation must be one of"),
@@ -122,9 +169,27 @@ def test_existing_folders_are_refused_before_the_match(tmp_path: Path, bumpy_fil
         assert_one_line_error(done, 2)
         assert "choose another --out" in done.stderr
     (tmp_path / "out" / "result.json").write_text("{}")
+    done = run("match", *bumpy_files[:2], "--out", tmp_path / "out", "--truth", tmp_path / "gone.txt")
+    assert_one_line_error(done, 2)
+    assert "gone.txt" in done.stderr
+    done = run("match", *bumpy_files[:2], "--out", tmp_path / "out", "--device", "abacus")
+    assert done.returncode == 1
+    assert "abacus" in done.stderr
     done = run("match", *bumpy_files[:2], "--out", tmp_path / "out")
     assert_one_line_error(done, 2)
     assert "--force" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["x" * 250, "x" * 300])
+def test_folders_that_cannot_be_made_are_found_before_the_match(
+    tmp_path: Path, bumpy_files: tuple[Path, ...], name: str
+) -> None:
+    # The folder for the unfinished result has a longer name than the result.
+    done = run("match", *bumpy_files[:2], "--out", tmp_path / "new" / name)
+    assert_one_line_error(done, 2)
+    assert "cannot be written" in done.stderr
+    assert "choose another --out" in done.stderr
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith((".", "new"))]
 
 
 def test_debug_shows_the_trace(tmp_path: Path) -> None:

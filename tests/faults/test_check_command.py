@@ -135,6 +135,36 @@ def test_force_replaces_both_files(run: Run, tmp_path: Path) -> None:
     assert out.with_name("clean.ply.index.txt").read_text() == "".join(f"{i}\n" for i in range(162))
 
 
+def test_a_copy_with_little_of_the_area_is_warned_of(run: Run, tmp_path: Path) -> None:
+    """Nine spheres of radius 1 and one of radius 2 that is taken apart into faces: one small sphere is left."""
+    vertices, faces = malformed.sphere()
+    apart = 2 * vertices[faces].reshape(-1, 3)
+    spheres = [vertices + np.array([5 * number, 0, 0]) for number in range(1, 10)]
+    every_face = [faces + number * len(vertices) for number in range(9)]
+    every_face.append(np.arange(faces.size).reshape(-1, 3) + 9 * len(vertices))
+    path = tmp_path / "given.off"
+    path.write_bytes(malformed.WRITERS["off"]((np.concatenate([*spheres, apart]), np.concatenate(every_face))))
+    shown = run("check", path, "--repair", tmp_path / "clean.ply")
+    assert shown.status == 0
+    warning = "only 7.7 % of the area is left; look at it before use"
+    advice = ", or add --merge to join vertices at equal positions\n"
+    assert shown.err == f"warning: {tmp_path / 'clean.ply'}: {warning}{advice}"
+    merged = run("check", path, "--repair", tmp_path / "merged.ply", "--merge", "--json")
+    assert merged.err == f"warning: {tmp_path / 'merged.ply'}: only 31 % of the area is left; look at it before use\n"
+    assert json.loads(merged.out)["repaired"]["area_share"] == pytest.approx(4 / 13)
+
+
+def test_a_soup_of_triangles_is_told_its_cure(run: Run, tmp_path: Path) -> None:
+    vertices, faces = malformed.sphere()
+    path = tmp_path / "soup.off"
+    soup = vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)
+    path.write_bytes(malformed.WRITERS["off"](soup))
+    shown = run("check", path, "--repair", tmp_path / "clean.ply")
+    assert shown.status == 2
+    assert shown.err.endswith("; add --merge to join vertices at equal positions\n")
+    assert run("check", path, "--repair", tmp_path / "clean.ply", "--merge").status == 0
+
+
 def test_merging_closes_a_seam(collection: dict[str, malformed.MalformedFile], run: Run, tmp_path: Path) -> None:
     assert run("check", collection["seam"].path, "--repair", tmp_path / "closed.ply", "--merge").status == 0
     found = json.loads(run("check", tmp_path / "closed.ply", "--json").out)["meshes"][0]

@@ -106,9 +106,16 @@ def test_wildly_different_shapes_get_a_warning_with_the_confidence() -> None:
     options = Options().replace({"engine.backend": "reference", "alignment.rounds": 0})
     with (
         pytest.warns(ConfidenceWarning, match="turned inside out"),
-        pytest.warns(ConfidenceWarning, match="low confidence"),
+        pytest.warns(ConfidenceWarning, match=r"low confidence .* ask for --alternatives 3"),
     ):
         result = clalign.match(body, malformed.ring(), options)
+    with (
+        pytest.warns(ConfidenceWarning, match="turned inside out"),
+        pytest.warns(ConfidenceWarning, match=r"low confidence .* see the rivals on the page"),
+    ):
+        more = clalign.match(body, malformed.ring(), options.replace({"search.alternatives": 500}))
+    assert f"only {len(more.alternatives)} different map" in more.warnings[0]
+    assert more.score <= more.alternatives[0].score
     assert 0 <= result.confidence < 0.2
     assert f"{result.orientation:+.2f}" in result.warnings[-2]
     assert f"{result.confidence:.2f}" in result.warnings[-1]

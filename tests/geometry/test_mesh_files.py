@@ -131,6 +131,32 @@ def test_off_headers_comments_and_polygons(tmp_path: Path, header: str) -> None:
     assert raw.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 2, 0]]
 
 
+@pytest.mark.parametrize(
+    ("line", "row", "message"),
+    [
+        (2, "0 0", "vertex 2 is given as '0 0': expected 3 numbers"),
+        (1, "0 zero 1", "vertex 1 is given as '0 zero 1': expected 3 numbers"),
+        (3, "0 0 1 9", "vertex 3 is given as '0 0 1 9', 4 numbers where vertex 0 has 3"),
+        (4, "3 0 1", "face 0 is given as '3 0 1': expected a count of 3 or more and as many numbers"),
+        (5, "2 0 1", "face 1 is given as '2 0 1': expected a count of 3"),
+        (6, "3 0 1 x", "face 2 contains 'x' where a vertex number is expected"),
+        (7, "0 1 2 3", "face 3 is given as '0 1 2 3': expected a count of 3"),
+    ],
+)
+def test_damaged_rows_of_a_text_ply_are_named(tmp_path: Path, line: int, row: str, message: str) -> None:
+    header = ["ply", "format ascii 1.0", "element vertex 4", *(f"property float {name}" for name in "xyz")]
+    header += ["element face 4", "property list uchar int vertex_indices", "end_header"]
+    rows = ["0 0 0", "1 0 0", "0 1 0", "0 0 1", "3 0 2 1", "3 0 1 3", "3 1 2 3", "3 2 0 3"]
+    path = tmp_path / "mesh.ply"
+    path.write_text("\n".join([*header, *rows]) + "\n")
+    assert len(read_mesh_file(path).faces) == 4
+    rows[line] = row
+    path.write_text("\n".join([*header, *rows]) + "\n")
+    with pytest.raises(MeshError) as caught:
+        read_mesh_file(path)
+    assert str(caught.value).startswith(f"{path}: {message}")
+
+
 def test_ply_of_quads_and_mixed_polygons(tmp_path: Path) -> None:
     vertices, _ = malformed.grid(1, 2)
     header = ["ply", "format ascii 1.0", "element vertex 6", *(f"property float {name}" for name in "xyz")]

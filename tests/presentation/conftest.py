@@ -81,6 +81,7 @@ def fabricate(
         device="a device",
         options=Options(),
         versions={"clalign": "0.1.0", "numpy": np.__version__},
+        score=0.31,
     )
 
 

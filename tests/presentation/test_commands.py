@@ -111,6 +111,16 @@ def test_show_opens_the_page(run: Run, result: Path, monkeypatch: pytest.MonkeyP
     assert (result / "report.html").stat().st_size > 500_000
 
 
+def test_show_without_a_browser_says_so(
+    run: Run, result: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("webbrowser.open", lambda _: False)
+    assert run("show", result, "--page") == 1
+    shown = capsys.readouterr()
+    assert shown.out == f"{result / 'report.html'}\n"
+    assert shown.err == "no browser could be started; open this file yourself\n"
+
+
 class _Plotter:
     """Stands in for pyvista's plotter and remembers what it was given."""
 

@@ -13,6 +13,7 @@ from clalign.errors import ResultError
 from clalign.geometry.mesh import mesh_from_arrays
 from clalign.presentation.camera import front_view, turn_to
 from clalign.presentation.colours import UNMATCHED, amount_colours, function_colours, position_colours
+from clalign.presentation.lettering import word_mask
 from clalign.presentation.notebook import notebook_html
 from clalign.presentation.picture import carried_colours, function_image, match_image, save_match_picture
 from clalign.presentation.surface_map import surface_map
@@ -131,6 +132,23 @@ def test_picture_has_both_shapes_alike_and_apart(small: Correspondence, tmp_path
         assert np.abs(shares[0] - shares[1]).max() < 0.12
     save_match_picture(small, tmp_path / "match.png", height=120)
     assert (tmp_path / "match.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_words_stand_below_the_shapes(small: Correspondence) -> None:
+    image = match_image(small, height=600)
+    middle = image.shape[1] // 2
+    margin = image[570:]
+    for word, half in (("source", margin[:, :middle]), ("target", margin[:, middle:])):
+        ink = (half < 255).any(axis=2)
+        rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
+        letters = word_mask(word, 2)
+        drawn = ink[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        inked = np.flatnonzero(letters.any(axis=1))
+        assert np.array_equal(drawn, letters[inked[0] : inked[-1] + 1])
+    shown = {word: word_mask(word).tobytes() for word in "source target".replace(" ", "")}
+    assert len(set(shown.values())) == len(shown)
+    low = match_image(small, height=100)
+    assert (low[95:] == 255).all()
 
 
 def test_a_turned_source_is_drawn_as_its_target(fabricated: object) -> None:

@@ -62,6 +62,7 @@ def test_page_holds_the_match_and_asks_for_nothing_else(small: Correspondence, s
     assert np.array_equal(_array(page, "source-numbers"), small.source.file_index)
     assert np.allclose(_array(page, "rotation"), small.rotation, atol=1e-6)
     assert facts["evaluation"]["mean"] > 0
+    assert [shown["score"] for shown in facts["maps"]] == [small.score, small.alternatives[0].score]
     outside = re.findall(r'(?:src|href)="(?!data:)[^"]*"', re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL))
     assert outside == []
     assert "connect-src" not in page
@@ -223,7 +224,7 @@ def test_controls_change_what_is_drawn(opened: Callable[..., Any], small: Corres
         return page.locator("#canvas-source").screenshot()
 
     seen = [picture()]
-    for colouring in ("distortion", "function", "plain"):
+    for colouring in ("checkered", "distortion", "function", "plain"):
         page.select_option("#colouring", colouring)
         seen.append(picture())
     page.select_option("#colouring", "function")
@@ -240,6 +241,20 @@ def test_controls_change_what_is_drawn(opened: Callable[..., Any], small: Corres
     page.fill("#lookup-number", "0")
     page.press("#lookup-number", "Enter")
     assert "no vertex 0" in page.inner_text("#readout")
+
+
+def test_squares_lie_on_matched_points(opened: Callable[..., Any], small: Correspondence, small_page: Path) -> None:
+    page = opened(small_page)
+    page.select_option("#colouring", "checkered")
+    places = {
+        side: np.array(page.evaluate("side => [...views[side].surface.geometry.getAttribute('place').array]", side))
+        for side in ("source", "target")
+    }
+    source, target = (places[side].reshape(-1, 2) for side in ("source", "target"))
+    assert np.array_equal(source, target[small.target_of_source[1:] - 1])
+    assert np.ptp(target, axis=0).max() == pytest.approx(24, rel=1e-4)
+    page.select_option("#colouring", "position")
+    assert page.evaluate("() => views.source.checkered.value") == 0
 
 
 def test_views_turn_together_or_apart_by_keyboard(opened: Callable[..., Any], small_page: Path) -> None:

@@ -4,6 +4,8 @@ const byId = (id) => document.getElementById(id);
 const other = (side) => (side === "source" ? "target" : "source");
 const shown = { colouring: "position", map: 0, function: 2, stage: "after", pinned: null };
 const views = {};
+/** On the longest side of the target. */
+const CHECKER_SQUARES = 24;
 
 const mapValues = (direction) => arrayValues(`map-${shown.map}-${direction}`);
 
@@ -27,6 +29,16 @@ function levelled(levels, ramp) {
   const result = new Uint8Array(3 * levels.length);
   levels.forEach((level, i) => result.set(table.subarray(3 * level, 3 * level + 3), 3 * i));
   return result;
+}
+
+/** Squares on the target as seen from the front, and where the map lays them on the source; two coordinates a vertex. */
+function checkerPlaces() {
+  const { positions } = views.target;
+  const size = facts.target.span / CHECKER_SQUARES;
+  const target = Float32Array.from({ length: (2 * positions.length) / 3 }, (_, i) => positions[3 * (i >> 1) + (i & 1)] / size);
+  const map = mapValues("target-of-source");
+  const source = Float32Array.from({ length: 2 * map.length }, (_, i) => target[2 * Math.max(map[i >> 1], 0) + (i & 1)]);
+  return { source, target };
 }
 
 function distortionColours() {
@@ -62,7 +74,8 @@ function paint() {
   let source;
   let target;
   let legend = null;
-  if (shown.colouring === "position") {
+  const checkered = shown.colouring === "checkered";
+  if (checkered || shown.colouring === "position") {
     target = arrayValues("colours");
     source = carried(target, mapValues("target-of-source"));
   } else if (shown.colouring === "distortion") {
@@ -76,6 +89,9 @@ function paint() {
     const plain = (side) => new Uint8Array(3 * facts[side].vertices).fill(205);
     [source, target] = [plain("source"), plain("target")];
   }
+  const places = checkered ? checkerPlaces() : {};
+  views.source.check(places.source);
+  views.target.check(places.target);
   views.source.paint(source);
   views.target.paint(target);
   showLegend(legend);

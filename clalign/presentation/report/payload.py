@@ -85,7 +85,12 @@ def build_payload(
 def _add_maps(correspondence: Correspondence, arrays: dict[str, NDArray[np.generic]]) -> list[dict[str, Any]]:
     source, target = correspondence.source, correspondence.target
     described: list[dict[str, Any]] = [
-        {"label": "the chosen map", "orientation": _number(correspondence.orientation), "score": None, "distance": 0.0}
+        {
+            "label": "the chosen map",
+            "orientation": _number(correspondence.orientation),
+            "score": _number(correspondence.score),
+            "distance": 0.0,
+        }
     ]
     described += [
         {

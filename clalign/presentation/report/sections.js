@@ -1,7 +1,7 @@
 // The parts of the page below the 3D view.
 
 const HISTORY_NAMES = {
-  total: "total (Eq. 24)", align: "alignment (Eq. 21)", unsup: "distances (Eq. 22)", cycle: "cycle (Eq. 31)",
+  total: "total (weighted sum)", align: "alignment (Eq. 21)", unsup: "distances (Eq. 22)", cycle: "cycle (Eq. 31)",
   unitarity: "unitarity of R (Eq. 23)",
 };
 
@@ -48,8 +48,10 @@ function fillTrust(distortion) {
 function fillAlternatives(choose) {
   const body = document.getElementById("alternatives-body");
   if (facts.maps.length === 1) {
-    body.append(make("p", { class: "hint" }, "None were kept. The option search.alternatives (on the command line "
-      + "--alternatives N) keeps the N best maps that differ from the chosen one."));
+    const asked = facts.options.search.alternatives > 0;
+    body.append(make("p", { class: "hint" }, asked ? "The search found no map that differs from the chosen one."
+      : "None were kept. The option search.alternatives (on the command line --alternatives N) keeps the N best maps "
+      + "that differ from the chosen one."));
     return;
   }
   const rows = facts.maps.map((map, rank) => {

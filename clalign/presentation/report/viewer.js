@@ -6,6 +6,13 @@ const LINEAR = Float32Array.from({ length: 256 }, (_, level) => {
   return value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4;
 });
 const MARK_COLOURS = { pinned: 0xd4145a, hovered: 0x111111 };
+// Squares of a checkerboard that lies in the coordinates "laid", their edges one pixel soft. Where a torn map squeezes
+// many squares into a pixel, they fade to their mean.
+const CHECKER_FRAGMENT = `#include <color_fragment>
+  vec2 square = 2.0 * abs(fract(laid / 2.0) - 0.5) - 0.5;
+  vec2 width = max(fwidth(laid), vec2(1e-5));
+  vec2 way = clamp(square / width, -0.5, 0.5) * clamp(1.5 - width.x - width.y, 0.0, 1.0);
+  diffuseColor.rgb *= mix(1.0, 0.67 + 1.32 * way.x * way.y, checkered);`;
 
 class ShapeView {
   /**
@@ -52,6 +59,7 @@ class ShapeView {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(positions, 3));
     geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(stored.length).fill(0.6), 3));
+    geometry.setAttribute("place", new THREE.BufferAttribute(new Float32Array((2 * stored.length) / 3), 2));
     geometry.setIndex(new THREE.BufferAttribute(arrayValues(`${this.side}-faces`), 1));
     geometry.computeVertexNormals();
     geometry.computeBoundingBox();
@@ -59,6 +67,14 @@ class ShapeView {
     const material = new THREE.MeshStandardMaterial({
       vertexColors: true, roughness: 0.75, metalness: 0, side: THREE.DoubleSide,
     });
+    this.checkered = { value: 0 };
+    material.onBeforeCompile = (shader) => {
+      shader.uniforms.checkered = this.checkered;
+      shader.vertexShader = `attribute vec2 place;\nvarying vec2 laid;\n${shader.vertexShader}`
+        .replace("#include <begin_vertex>", "#include <begin_vertex>\n  laid = place;");
+      shader.fragmentShader = `uniform float checkered;\nvarying vec2 laid;\n${shader.fragmentShader}`
+        .replace("#include <color_fragment>", CHECKER_FRAGMENT);
+    };
     this.positions = positions;
     this.surface = new THREE.Mesh(geometry, material);
     this.centre = geometry.boundingBox.getCenter(new THREE.Vector3());
@@ -92,6 +108,17 @@ class ShapeView {
     const colour = this.surface.geometry.getAttribute("color");
     for (let i = 0; i < rgb.length; i += 1) colour.array[i] = LINEAR[rgb[i]];
     colour.needsUpdate = true;
+    this.requestDraw();
+  }
+
+  /** Darken every other square of a board; `places` holds two coordinates a vertex, one square being one unit. */
+  check(places) {
+    this.checkered.value = places ? 1 : 0;
+    if (places) {
+      const stored = this.surface.geometry.getAttribute("place");
+      stored.array.set(places);
+      stored.needsUpdate = true;
+    }
     this.requestDraw();
   }
 

@@ -1,0 +1,40 @@
+"""Vertex maps: what makes one valid, and how it is written for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.errors import ResultError
+
+
+def check_map(name: str, values: NDArray[np.int64], count: int, other_count: int) -> None:
+    """Check a vertex map: one entry a vertex, each -1 or a vertex of the other mesh.
+
+    Parameters
+    ----------
+    name : how messages call the map.
+    values : (count,) integers.
+    count, other_count : vertices of the mesh that the map starts from, and of the one it leads to.
+
+    Raises
+    ------
+    ResultError
+        Wrong size or type, or an entry outside the other mesh.
+    """
+    if values.ndim != 1 or len(values) != count:
+        raise ResultError(f"{name}: has shape {values.shape}, expected one entry for each of {count} vertices")
+    if not np.issubdtype(values.dtype, np.integer):
+        raise ResultError(f"{name}: holds {values.dtype} values, expected integers")
+    bad = np.flatnonzero((values < -1) | (values >= other_count))
+    if len(bad):
+        raise ResultError(
+            f"{name}: entry {bad[0]} is {values[bad[0]]}, but the other mesh has vertices 0 to {other_count - 1}"
+        )
+
+
+def write_map(path: Path, values: NDArray[np.int64]) -> None:
+    """Write a vertex map as text: line i holds the 0-based vertex of the other file, -1 for none."""
+    path.write_text("".join(f"{value}\n" for value in values.tolist()), encoding="ascii")
