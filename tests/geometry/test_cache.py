@@ -163,12 +163,12 @@ def whole(number, found):
 keys = [content_key("test", {}, {"number": number}) for number in range(3)]
 print(whole(0, cache.get(keys[0])), flush=True)
 sys.stdin.readline()
-for turn in range(100):
+for turn in range(50):
     for number, key in enumerate(keys):
         # Before and after, since three entries do not fit and the other process evicts, too.
         for found in (cache.get(key), cache.put(key, {"values": np.full(20_000, float(number))}) and cache.get(key)):
             assert not found or whole(number, found)
-    if turn % 40 == 39:
+    if turn % 20 == 19:
         cache.clear()
 """
 
