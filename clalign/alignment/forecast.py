@@ -118,7 +118,7 @@ def sizes(source: int, target: int, options: Options) -> Sizes:
     return Sizes(
         source=source,
         target=target,
-        basis=min(spectrum.basis, cap),
+        basis=min(spectrum.basis, spectrum.descriptors, cap),
         functions=min(max(spectrum.basis, spectrum.refinement), cap),
         descriptors=min(spectrum.descriptors, cap),
         samples=samples,

@@ -236,7 +236,8 @@ def bind(
     options: Options,
 ) -> AlignmentProblem:
     """Return the alignment problem of a pair."""
-    size = min(options.spectrum.basis, source.basis.count, target.basis.count)
+    # With more functions than descriptors, α αᵀ has no inverse.
+    size = min(options.spectrum.basis, source.basis.count, target.basis.count, descriptors[0].count)
     sides = (
         aligned_side(source, size, descriptors[0].functions, options.alignment),
         aligned_side(target, size, descriptors[1].functions, options.alignment),

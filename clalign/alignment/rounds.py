@@ -105,7 +105,8 @@ def optimise_rotation(
         rotation, frozen = ended.rotation, ended.frozen
         if status in ("interrupted", "failed"):
             break
-        frozen = replace(frozen, weight=frozen.weight * options.decay)
+        if number + 1 < options.rounds:
+            frozen = replace(frozen, weight=frozen.weight * options.decay)
 
     def finished() -> AlignedRotation:
         last = problem.value_and_gradient(problem.pack(rotation), frozen)

@@ -198,3 +198,11 @@ def test_shapes_are_left_as_they_were(middle: PreparedPair) -> None:
     frozen = pair.problem.start_round(pair.rotation, pair.truth.target_of_source, 200.0)
     pair.problem.value_and_gradient(pair.problem.pack(pair.rotation), frozen)
     assert (fingerprint(middle.source), fingerprint(middle.target)) == before
+
+
+def test_no_more_functions_are_used_than_there_are_descriptors(bind_small: Callable[..., Bound]) -> None:
+    """Otherwise α αᵀ is singular, and single precision turns the least squares into noise."""
+    problem, rotation, truth = bind_small({"spectrum.basis": 16, "spectrum.descriptors": 12})
+    assert problem.source.basis.shape[1] == problem.target.basis.shape[1] == 12
+    frozen = problem.start_round(rotation, truth.target_of_source, 50.0)
+    assert np.isfinite(problem.value_and_gradient(problem.pack(rotation), frozen).gradient).all()

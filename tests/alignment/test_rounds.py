@@ -166,3 +166,12 @@ def test_an_objective_that_is_never_finite_keeps_the_start(
     found = optimise_rotation(problem, rotation, "aligned")
     np.testing.assert_array_equal(found.rotation, rotation)
     assert found.status == "failed"
+
+
+def test_the_loss_of_the_result_has_the_weight_of_the_last_round(bind_small: Callable[..., Bound]) -> None:
+    """As the last points of the history, which a page draws beside it."""
+    problem, rotation, _ = bind_small({**ROUNDS, "alignment.rounds": 1, "alignment.weight": 70.0})
+    found = optimise_rotation(problem, rotation, "aligned")
+    losses = found.losses
+    total = losses["align"] + 70.0 * losses["unsup"] + problem.options.unitarity * losses["unitarity"]
+    assert losses["total"] == pytest.approx(total, rel=1e-9)
