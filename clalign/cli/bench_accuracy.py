@@ -42,6 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     robustness.add_argument("path", metavar="PATH", type=Path, help="folder of meshes")
     robustness.add_argument(
         "--changes",
+        dest="alterations",
         metavar="NAMES",
         default="noise,half,rotated,times-1000,times-0.001",
         help="comma-separated; also: normal-noise, subdivided (default: %(default)s)",
@@ -119,7 +120,7 @@ def run_robustness(args: argparse.Namespace) -> int:
     """Run all meshes of a folder against changed copies."""
     from clalign.evaluation.robustness import robustness
 
-    return _bench(robustness(args.path, [change.strip() for change in args.changes.split(",")]), args)
+    return _bench(robustness(args.path, [change.strip() for change in args.alterations.split(",")]), args)
 
 
 def _bench(layouts: Sequence[Layout], args: argparse.Namespace) -> int:
