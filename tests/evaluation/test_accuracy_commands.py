@@ -128,6 +128,17 @@ def test_bench_humans_fills_a_folder_and_a_readme(
     assert (summary["pairs"], summary["flips"], summary["failed"]) == (2, 0, 0)
 
 
+def test_bench_robustness_takes_changes_of_meshes_and_of_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], nearest: None
+) -> None:
+    datasets.write_poses(tmp_path / "eggs", ["ap0", "ap1"])
+    command = ["bench", "robustness", str(tmp_path / "eggs"), "--out", str(tmp_path / "out"), "--json"]
+    assert main([*command, "--changes", "noise,normal-noise", "--set", "alignment.weight=5"]) == 0
+    summaries = json.loads(capsys.readouterr().out)["summaries"]
+    assert [summary["suite"] for summary in summaries] == ["eggs/noise", "eggs/normal-noise"]
+    assert all((summary["pairs"], summary["failed"]) == (2, 0) for summary in summaries)
+
+
 def test_bench_faust_goes_on_after_a_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str], nearest: None) -> None:
     root, out = tmp_path / "faust", tmp_path / "out"
     datasets.write_poses(root, [f"tr_reg_{number:03d}" for number in (0, 1, 2)])
