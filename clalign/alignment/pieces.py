@@ -8,19 +8,14 @@ forgets how its parts came about, and compared with itself; whatever is better i
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.engine.backend import Backend
-from clalign.geometry.shape import Shape
-from clalign.geometry.spectra import Spectrum
-
-from .maps import PointMaps, orthogonalised, point_maps
-from .refine import GROWTHS, up_sampled
-from .samples import (
+from clalign.alignment.maps import PointMaps, orthogonalised, point_maps
+from clalign.alignment.refine import GROWTHS, up_sampled
+from clalign.alignment.samples import (
     SampledBasis,
     SampleMaps,
     coherent_factors,
@@ -31,8 +26,9 @@ from .samples import (
     sampled_basis,
     spread_samples,
 )
-
-LOG = logging.getLogger(__name__)
+from clalign.engine.backend import Backend
+from clalign.geometry.shape import Shape
+from clalign.geometry.spectra import Spectrum
 
 GROWN = 140
 """Laplace–Beltrami functions that a map is grown to at first, before ..."""

@@ -95,7 +95,15 @@ class Clock:
 
 @dataclass
 class Reached:
-    """How far a pair has come: what Ctrl-C keeps, and what need not be done again after it."""
+    """How far a pair has come: what Ctrl-C keeps, and what need not be done again after it.
+
+    Attributes
+    ----------
+    found, maps, rivals : of the search, up-sampled.
+    metric : both shapes with the descriptors of the ξ that was chosen for them, and ξ.
+    start, alignment : R before and after the optimisation.
+    last : the maps of the last step of the read-out that was made.
+    """
 
     found: SearchResult | None = None
     maps: PointMaps | None = None
