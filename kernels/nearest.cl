@@ -11,9 +11,14 @@
  * enlarged so that their product covers the rounding errors of the sums too; so nothing that would win is given up, and
  * index and score are, bit by bit, those of the full search.
  *
+ * The best score of a row starts at minus infinity, or at that of a guessed point, lowered by its rounding error: the
+ * better the guess, the sooner tiles are given up. It is a bar to be reached, not a result.
+ *
  * nearest: launch (ceil(row groups / NEAREST_GROUPS)); queries (m, depth); points packed by pack_panels
  *          (panels, depth, W); penalty (panels, W), padded so that lanes beyond p never win; checks: how often a tile may be
- *          given up; query_rest (checks, RT row groups), point_rest (panels, checks, W); index (m) int, score (m)
+ *          given up; query_rest (checks, RT row groups), point_rest (panels, checks, W); guessed (RT row groups) or NULL;
+ *          index (m) int, score (m)
+ * guessed_scores: launch (RT row groups); guess (m) int, one outside 0 .. p - 1 is none; guessed (RT row groups)
  * query_rests: launch (RT row groups): the enlarged norms of a query's components from (b + 1) BOUND on, b < checks
  * point_rests: launch (panels): the same of the points of a panel
  * pad_penalty: launch (panels W); penalty (p) or NULL to padded (panels, W)
@@ -56,15 +61,15 @@
     KEEP((2 * RT) * group + 2 * i + 1, q##i, bias1)
 
 #define MAY_WIN(i)                                                                      \
-    alive |= (p##i + rests[i] * rest0 > low0 + bars[i]) | (q##i + rests[i] * rest1 > low1 + bars[i]);
+    alive |= (p##i + rests[i] * rest0 >= low0 + bars[i]) | (q##i + rests[i] * rest1 >= low1 + bars[i]);
 
 #define RAISE(i)                                                                        \
     {                                                                                   \
         const realv one = best[(2 * RT) * group + 2 * i], two = best[(2 * RT) * group + 2 * i + 1]; \
         const realv larger = one > two ? one : two;                                     \
         const real *lanes = (const real *)&larger;                                      \
-        real largest = lanes[0];                                                        \
-        for (int lane = 1; lane < V; ++lane) largest = lanes[lane] > largest ? lanes[lane] : largest; \
+        real largest = top[group * RT + i];                                             \
+        for (int lane = 0; lane < V; ++lane) largest = lanes[lane] > largest ? lanes[lane] : largest; \
         top[group * RT + i] = largest;                                                  \
     }
 
@@ -93,7 +98,8 @@ inline realv lowered(const realv bias)
 KERNEL void nearest(const int m, const int p, const int depth, const int checks, __global const real *restrict queries,
                     __global const real *restrict points, __global const real *restrict penalty,
                     __global const real *restrict query_rest, __global const real *restrict point_rest,
-                    __global int *restrict index, __global real *restrict score)
+                    __global const real *restrict guessed, __global int *restrict index,
+                    __global real *restrict score)
 {
     const int row_begin = get_global_id(0) * NEAREST_GROUPS * RT;
     if (row_begin >= m) return;
@@ -106,7 +112,7 @@ KERNEL void nearest(const int m, const int p, const int depth, const int checks,
         best[i] = -INFINITY;
         where[i] = 0;
     }
-    for (int i = 0; i < groups * RT; ++i) top[i] = -INFINITY;
+    for (int i = 0; i < groups * RT; ++i) top[i] = guessed ? guessed[row_begin + i] : -INFINITY;
     int checked = checks, saved = 0;
     for (int panel = 0; panel < panels; ++panel) {
         if (panel % TRIAL == 0) {
@@ -170,6 +176,30 @@ KERNEL void pad_penalty(const int p, const int count, __global const real *restr
 #else
     padded[j] = j < p ? (penalty ? penalty[j] : ZERO) : INFINITY;
 #endif
+}
+
+KERNEL void guessed_scores(const int m, const int p, const int depth, __global const real *restrict queries,
+                           __global const real *restrict points, __global const real *restrict penalty,
+                           __global const int *restrict guess, __global real *restrict guessed)
+{
+    const int i = get_global_id(0), row_count = (m + RT - 1) / RT * RT;
+    if (i >= row_count) return;
+    const int row = min(i, m - 1), j = guess[row];
+    if (j < 0 || j >= p) {
+        guessed[i] = -INFINITY;
+        return;
+    }
+    queries += (size_t)row * depth;
+    points += (size_t)(j / W) * W * depth + j % W;
+    real product = ZERO, query = ZERO, point = ZERO;
+    for (int t = 0; t < depth; ++t) {
+        const real a = queries[t], b = points[(size_t)t * W];
+        product += a * b;
+        query += a * a;
+        point += b * b;
+    }
+    const real margin = sqrt(query * point) * (real)(depth + 4) + 4 * fabs(penalty[j]);
+    guessed[i] = product - penalty[j] - 2 * ROUNDING * margin;
 }
 
 KERNEL void query_rests(const int m, const int depth, const int checks, __global const real *restrict queries,

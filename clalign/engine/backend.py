@@ -102,6 +102,9 @@ class Arrays(Protocol):
     def gather(self, a: Array, index: Array, *, out: Array = None) -> Array:
         """Rows of a (n, k) named by index (any shape, int32): shape index.shape + (k,)."""
 
+    def half_squares(self, a: Array, *, out: Array = None) -> Array:
+        """½ |a_i|² of the rows of a (n, k): (n,), the penalty with which `nearest` finds nearest neighbours."""
+
     def total(self, a: Array, w: Array = None) -> float:
         """Σ a, or Σ w a for w of a's size; summed in two stages in a fixed order."""
 
@@ -118,9 +121,13 @@ class Products(Protocol):
         transpose_b: bool = False,
         scale: float = 1.0,
         accumulate: bool = False,
+        leading: bool = False,
         out: Array = None,
     ) -> Array:
-        """Return scale · op(a) op(b), added to `out` when `accumulate` is set; op(a) is (m, q), op(b) is (q, n)."""
+        """Return scale · op(a) op(b), added to `out` when `accumulate` is set; op(a) is (m, q), op(b) is (q, n).
+
+        With `leading`, `a` is not transposed and may have more columns than q: its first q are used.
+        """
 
     def band_expand(self, values: Array, band: Band, *, out: Array = None) -> Array:
         """Packed values (band.count,) as a (d, d) matrix with zeros outside the band."""
@@ -229,12 +236,17 @@ class Searches(Protocol):
         penalty: Array = None,
         *,
         absolute: bool = False,
+        guess: Array = None,
         out: tuple[Array, Array] | None = None,
     ) -> tuple[Array, Array]:
         """For each query the point of largest score, and the score: (m,) int32 and (m,). Ties go to the lowest index.
 
         The score of point j for query q is q·p_j − penalty_j, so penalty = ½|p_j|² finds the nearest neighbour;
         with `absolute` it is penalty_j (q·p_j)² (Eq. 28, `penalty` read as weights, None as ones).
+
+        `guess` (m,) int32 names a point for each query, or with -1 none. It never changes the result: points that
+        cannot reach the guessed one's score are given up early, so that a good guess saves most of the work. So does an
+        order of queries and of points in which neighbours are similar.
         """
 
     def distortion_batch(

@@ -104,6 +104,12 @@ class KernelArrays:
         self.device.launch(kernel, index.size, index.size, width, a, index, result)
         return result
 
+    def half_squares(self, a: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
+        """½ |a_i|² of the rows."""
+        result = self._result("half_squares", a.shape[:1], out)
+        self._row_dots(a, a, result)
+        return self.add(result, result, scale_a=0.5, scale_b=0.0, out=result)
+
     def total(self, a: DeviceArray, w: DeviceArray | None = None) -> float:
         """Σ a, or Σ w a."""
         result = self.device.scratch("total", 1)

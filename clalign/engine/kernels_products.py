@@ -42,16 +42,17 @@ class KernelProducts(KernelArrays):
         transpose_b: bool = False,
         scale: float = 1.0,
         accumulate: bool = False,
+        leading: bool = False,
         out: DeviceArray | None = None,
     ) -> DeviceArray:
         """Return scale · op(a) op(b), added to `out` when `accumulate` is set."""
-        m, depth = a.shape[::-1] if transpose_a else a.shape
-        inner, n = b.shape[::-1] if transpose_b else b.shape
-        require_shapes("product", b=((inner,), (depth,)))
+        m, columns = a.shape[::-1] if transpose_a else a.shape
+        depth, n = b.shape[::-1] if transpose_b else b.shape
+        if not (leading and not transpose_a and depth <= columns):
+            require_shapes("product", b=((depth,), (columns,)))
         result = self._result("product", (m, n), out)
-        self._product(
-            a, b, result, m, n, depth, transpose_a, transpose_b, scale=scale, accumulate=accumulate and out is not None
-        )
+        adding = accumulate and out is not None
+        self._product(a, b, result, m, n, depth, transpose_a, transpose_b, columns, scale=scale, accumulate=adding)
         return result
 
     def band_expand(self, values: DeviceArray, band: Band, *, out: DeviceArray | None = None) -> DeviceArray:
@@ -138,6 +139,7 @@ class KernelProducts(KernelArrays):
         depth: int,
         transpose_a: bool,
         transpose_b: bool,
+        columns: int | None = None,
         *,
         scale: float = 1.0,
         accumulate: bool = False,
@@ -147,7 +149,8 @@ class KernelProducts(KernelArrays):
     ) -> None:
         """Queue a product, packing a side where what it reads is not contiguous or is read often.
 
-        A weight of the depth needs a transposed left side, which is multiplied by it while being packed.
+        A weight of the depth needs a transposed left side, which is multiplied by it while being packed. A left side
+        that is not transposed may have more `columns` than the depth.
         """
         lanes = self.device.lanes
         group_count, panel_count = ceil_div(m, TILE), ceil_div(n, lanes)
@@ -156,7 +159,7 @@ class KernelProducts(KernelArrays):
             b, b_step, b_panel = self._pack_panels("right", b, n, depth, *strides), lanes, depth * lanes
         else:
             b_step, b_panel = n, lanes
-        a_row, a_step = (1, m) if transpose_a else (depth, 1)
+        a_row, a_step = (1, m) if transpose_a else (columns or depth, 1)
         a_group = TILE * a_row
         if weight is not None or (transpose_a and depth > DEPTH_BLOCK):
             a = self._pack_tiles("left", a, m, depth, TILE, weight)

@@ -11,8 +11,11 @@ from .device import DeviceArray
 from .kernels_arrays import PART, ceil_div, require_shapes
 from .kernels_products import TILE, KernelProducts
 
-BOUND = 48
+BOUND = 32
 """Depth after which a tile of the nearest points is checked: can one of its scores still be the best of its row?"""
+
+WORTH_A_CHECK = 1.5
+"""Depth, in units of `BOUND`, from which checks are made: norms of what is left cost a pass over all rows."""
 
 ROWS_OF_PART = 64
 """Rows of a distance matrix that one work-item of the batched distortion sums."""
@@ -28,6 +31,7 @@ class KernelSearches(KernelProducts):
         penalty: DeviceArray | None = None,
         *,
         absolute: bool = False,
+        guess: DeviceArray | None = None,
         out: tuple[DeviceArray, DeviceArray] | None = None,
     ) -> tuple[DeviceArray, DeviceArray]:
         """Index and score of the point of largest score; ties to the lowest index."""
@@ -35,12 +39,14 @@ class KernelSearches(KernelProducts):
         require_shapes("nearest", points=(points.shape[1:], (depth,)))
         if penalty is not None:
             require_shapes("nearest", penalty=(penalty.shape, (p,)))
+        if guess is not None:
+            require_shapes("nearest", guess=(guess.shape, (m,)))
         index = self._result("nearest", (m,), out and out[0], np.int32)
         score = self._result("nearest", (m,), out and out[1])
         lanes = self.device.lanes
         padded_size = ceil_div(p, lanes) * lanes
         groups = self._nearest_groups(ceil_div(m, TILE))
-        checks = 0 if absolute else max(0, ceil_div(depth, BOUND) - 1)
+        checks = 0 if absolute or depth < WORTH_A_CHECK * BOUND else ceil_div(depth, BOUND) - 1
         defines: dict[str, str | int] = {
             "RT": TILE,
             "NEAREST_GROUPS": groups,
@@ -51,7 +57,7 @@ class KernelSearches(KernelProducts):
         launch, kernel = self.device.launch, self.device.kernel
         launch(kernel("nearest", "pad_penalty", **defines), padded_size, p, padded_size, penalty, padded)
         packed = self._pack_panels("right", points, p, depth, 1, depth)
-        query_rest = point_rest = None
+        query_rest = point_rest = guessed = None
         if checks:
             rows = ceil_div(m, TILE) * TILE
             query_rest = self.device.scratch("rests.queries", rows * checks)
@@ -59,8 +65,12 @@ class KernelSearches(KernelProducts):
             point_rest = self.device.scratch("rests.points", padded_size * checks)
             panels = padded_size // lanes
             launch(kernel("nearest", "point_rests", **defines), panels, panels, depth, checks, packed, point_rest)
+            if guess is not None:
+                guessed = self.device.scratch("guessed", rows)
+                scores = kernel("nearest", "guessed_scores", **defines)
+                launch(scores, rows, m, p, depth, queries, packed, padded, guess, guessed)
         items = ceil_div(m, groups * TILE)
-        sides = (queries, packed, padded, query_rest, point_rest)
+        sides = (queries, packed, padded, query_rest, point_rest, guessed)
         launch(kernel("nearest", "nearest", **defines), items, m, p, depth, checks, *sides, index, score)
         return index, score
 

@@ -53,6 +53,10 @@ class ReferenceArrays:
         """Rows of a named by index."""
         return stored(a[index], out)
 
+    def half_squares(self, a: Array, *, out: Array | None = None) -> Array:
+        """½ |a_i|² of the rows."""
+        return stored(self.dtype.type(0.5) * np.einsum("nk,nk->n", a, a), out)
+
     def total(self, a: Array, w: Array | None = None) -> float:
         """Σ a, or Σ w a."""
         flat = a.reshape(-1)
@@ -67,9 +71,12 @@ class ReferenceArrays:
         transpose_b: bool = False,
         scale: float = 1.0,
         accumulate: bool = False,
+        leading: bool = False,
         out: Array | None = None,
     ) -> Array:
         """Return scale · op(a) op(b), added to `out` when `accumulate` is set."""
+        if leading:
+            a = a[:, : b.shape[1] if transpose_b else b.shape[0]]
         value = self.dtype.type(scale) * ((a.T if transpose_a else a) @ (b.T if transpose_b else b))
         return stored(out + value if accumulate and out is not None else value, out)
 

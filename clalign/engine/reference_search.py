@@ -26,9 +26,10 @@ class ReferenceSearches:
         penalty: Array | None = None,
         *,
         absolute: bool = False,
+        guess: Array | None = None,
         out: tuple[Array, Array] | None = None,
     ) -> tuple[Array, Array]:
-        """Index and score of the point of largest score; ties to the lowest index."""
+        """Index and score of the point of largest score; ties to the lowest index. A guess saves nothing here."""
         index = np.zeros(queries.shape[0], dtype=np.int32)
         score = np.zeros(queries.shape[0], dtype=queries.dtype)
         for rows in blocks(queries.shape[0], points.shape[0]):

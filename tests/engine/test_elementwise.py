@@ -19,6 +19,11 @@ def test_match_twins(check, rng, shape):
     check("total", a, b)
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (97, 257), (1025, 5)])
+def test_half_squares_match_twin(check, rng, shape):
+    check("half_squares", rng.normal(size=shape))
+
+
 def test_total_of_many_equal_numbers_is_accurate(kernels: Kernels):
     values = np.full(1_000_003, 0.1, dtype=np.float32)
     assert kernels.total(kernels.array(values)) == pytest.approx(float(values[0]) * values.size, rel=1e-6)

@@ -99,6 +99,12 @@ def test_giving_up_tiles_changes_no_bit(request, monkeypatch, rng, backend, make
     for groups in (8, 32) if on_device.device.group == 1 else (1,):
         monkeypatch.setattr(kernels_search.KernelSearches, "_nearest_groups", lambda *_, groups=groups: groups)
         found.append([on_device.numpy(part) for part in on_device.nearest(*arrays)])
+    # Good guesses, which are the result, bad ones, and none.
+    guesses = found[0][0].copy()
+    guesses[1::3] = rng.integers(0, 1337, size=guesses[1::3].size)
+    guesses[2::3] = -1
+    for guess in (found[0][0], guesses):
+        found.append([on_device.numpy(part) for part in on_device.nearest(*arrays, guess=on_device.array(guess))])
     monkeypatch.setattr(kernels_search, "BOUND", depth)
     full = [on_device.numpy(part) for part in on_device.nearest(*arrays)]
     for early in found:
@@ -109,5 +115,19 @@ def test_giving_up_tiles_changes_no_bit(request, monkeypatch, rng, backend, make
 def test_copies_of_a_point_far_apart_end_at_the_first(kernels: Kernels, rng):
     queries, points = close_pairs(rng, 40, 700, 200)
     twice = kernels.array(np.concatenate([points, points]))
-    index, _ = kernels.nearest(kernels.array(queries), twice, kernels.array(np.tile(0.5 * np.sum(points**2, 1), 2)))
+    penalty = kernels.array(np.tile(0.5 * np.sum(points**2, 1), 2))
+    index, _ = kernels.nearest(kernels.array(queries), twice, penalty)
     assert kernels.numpy(index).max() < 700
+    # Though the guess is as good.
+    later = kernels.array(kernels.numpy(index) + 700)
+    again, _ = kernels.nearest(kernels.array(queries), twice, penalty, guess=later)
+    np.testing.assert_array_equal(kernels.numpy(again), kernels.numpy(index))
+
+
+def test_guesses_outside_the_points_and_rows_of_zeros_change_nothing(kernels: Kernels, rng):
+    points = rng.normal(size=(333, 100))
+    queries = np.concatenate([np.zeros((2, 100)), points[:5]])
+    arrays = [kernels.array(each) for each in (queries, points)]
+    expected, _ = kernels.nearest(*arrays)
+    found, _ = kernels.nearest(*arrays, guess=kernels.array(np.array([300, -1, 333, -5, 1 << 30, 4, 0])))
+    np.testing.assert_array_equal(kernels.numpy(found), kernels.numpy(expected))

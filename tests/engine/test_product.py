@@ -21,6 +21,14 @@ def test_matches_twin(check, rng, shape, transpose_a, transpose_b):
     check("product", a, b, transpose_a=transpose_a, transpose_b=transpose_b, scale=-0.75)
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("transpose_b", [False, True])
+def test_leading_columns_match_twin(check, rng, shape, transpose_b):
+    m, n, depth = shape
+    b = rng.normal(size=(n, depth) if transpose_b else (depth, n))
+    check("product", rng.normal(size=(m, depth + 7)), b, transpose_b=transpose_b, leading=True)
+
+
 def test_accumulates_into_out(kernels: Kernels, rng):
     a, b, c = rng.normal(size=(50, 700)), rng.normal(size=(700, 41)), rng.normal(size=(50, 41))
     out = kernels.array(c)
@@ -38,7 +46,8 @@ def test_writes_only_its_own_matrix(kernels: Kernels, rng):
 
 
 def test_shapes_that_do_not_fit_are_refused(kernels: Kernels):
-    with pytest.raises(InputError, match=r"product: b has shape"):
-        kernels.product(kernels.zeros((3, 4)), kernels.zeros((5, 3)))
+    for leading in ({}, {"leading": True}):
+        with pytest.raises(InputError, match=r"product: b has shape"):
+            kernels.product(kernels.zeros((3, 4)), kernels.zeros((5, 3)), **leading)
     with pytest.raises(InputError, match=r"product: out has shape \(2, 2\), needed is \(3, 3\)"):
         kernels.product(kernels.zeros((3, 4)), kernels.zeros((4, 3)), out=kernels.zeros((2, 2)))
