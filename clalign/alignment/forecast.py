@@ -238,12 +238,12 @@ def _host_bytes(size: Sizes, options: Options, cores: int) -> dict[str, int]:
 def _device_bytes(size: Sizes, options: Options, real: int) -> dict[str, int]:
     """Return bytes of buffers: descriptors (one carried over, too), bases, packed moments, and a read-out's scratch.
 
-    A read-out uploads two embeddings (n, d) and packs both once more.
+    A read-out holds two embeddings (n, d), their copies in order, and one of them packed.
     """
     pairs = size.basis * (size.basis + 1) // 2
     fixed = pairs * size.rank + 12 * size.descriptors**2 + size.losses * (3 * size.basis + 4 * size.rank)
     meshes = size.both * (size.descriptors + size.basis + size.rank) + size.source * size.descriptors
-    read_out = 2 * size.both * size.descriptors
+    read_out = (2 * size.both + max(size.source, size.target)) * size.descriptors
     search = 3 * 200 * 40 * 400 + 2 * size.samples**2
     stages = {"preparation": 0, "alignment": real * (fixed + meshes + read_out + search), RESULT: 0}
     if pieces_are_grown(options):

@@ -49,8 +49,8 @@ def _sample_steps(size: Sizes, largest: int) -> tuple[float, float]:
     dense = (len(GROWTHS) + 3 * GENERATIONS) * _map_operations(min(LIMIT, size.descriptors))
     for steps, available in ((high, size.descriptors), (low, size.functions)):
         counts = [min(count, available) for count in steps]
-        # All functions are turned at all vertices, then compared with samples of the other shape, both ways.
-        nearest += 2.0 * size.both * (available + SAMPLES) * sum(counts)
+        # Functions are turned at all vertices, then compared with samples of the other shape, both ways.
+        nearest += 2.0 * size.both * sum((count + SAMPLES) * count for count in counts)
         dense += sum(_map_operations(count) for count in counts)
     return nearest, dense
 

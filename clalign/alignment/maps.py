@@ -7,10 +7,12 @@ A functional map (k_y, k_x) takes coefficients of functions on X to coefficients
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.alignment.nearness import Orders, VertexOrder, in_order, nearest_vertices
 from clalign.engine.backend import Backend
 from clalign.engine.near_cells import nearest_in_cells
 from clalign.geometry.spectra import Spectrum
@@ -41,23 +43,64 @@ def nearest_rows(backend: Backend, queries: NDArray[np.floating], points: NDArra
     """
     if queries.shape[0] * points.shape[0] > EXHAUSTIVE:
         return nearest_in_cells(backend, queries, points)
-    penalty = 0.5 * np.einsum("pk,pk->p", points, points)
-    index, _ = backend.nearest(
-        backend.array(np.ascontiguousarray(queries)),
-        backend.array(np.ascontiguousarray(points)),
-        backend.array(penalty),
-    )
+    places = backend.array(np.ascontiguousarray(points))
+    index, _ = backend.nearest(backend.array(np.ascontiguousarray(queries)), places, backend.half_squares(places))
     return backend.numpy(index).astype(np.int64)
 
 
 def point_maps(
-    backend: Backend, source_embedding: NDArray[np.floating], target_embedding: NDArray[np.floating]
+    backend: Backend,
+    source_embedding: Any,
+    target_embedding: Any,
+    orders: Orders | None = None,
+    guess: PointMaps | None = None,
 ) -> PointMaps:
-    """Return nearest neighbours both ways between two aligned embeddings (n_x, d) and (n_y, d)."""
+    """Return nearest neighbours both ways between two aligned embeddings.
+
+    Parameters
+    ----------
+    source_embedding, target_embedding : (n_x, d) and (n_y, d), arrays of the backend.
+    orders : of the vertices of both shapes; the better, the faster; None takes them as they are numbered.
+    guess : maps that are nearly right, or None.
+    """
+    if orders is None:
+        orders = VertexOrder.given(source_embedding.shape[0]), VertexOrder.given(target_embedding.shape[0])
+        return point_maps_in_order(backend, source_embedding, target_embedding, orders, guess)
+    turned = in_order(backend, source_embedding, orders[0]), in_order(backend, target_embedding, orders[1])
+    return point_maps_in_order(backend, *turned, orders, guess)
+
+
+def point_maps_in_order(
+    backend: Backend, source_embedding: Any, target_embedding: Any, orders: Orders, guess: PointMaps | None = None
+) -> PointMaps:
+    """Return what `point_maps` does from embeddings whose rows are in the orders that are given."""
+    forward, backward = both_directions(guess)
     return PointMaps(
-        nearest_rows(backend, source_embedding, target_embedding),
-        nearest_rows(backend, target_embedding, source_embedding),
+        matched(backend, source_embedding, target_embedding, orders, forward),
+        matched(backend, target_embedding, source_embedding, orders[::-1], backward),
     )
+
+
+def both_directions(maps: PointMaps | None) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
+    """Return target_of_source and source_of_target of maps that may be missing."""
+    return (None, None) if maps is None else (maps.target_of_source, maps.source_of_target)
+
+
+def matched(
+    backend: Backend, queries: Any, points: Any, orders: Orders, guess: NDArray[np.int64] | None = None
+) -> NDArray[np.int64]:
+    """Return for each vertex of one shape the nearest of the other, as (m,) int64; see `nearest_rows`.
+
+    Parameters
+    ----------
+    queries, points : (m, d) and (p, d), arrays of the backend with rows in the orders of their shapes.
+    orders : of the shape of the queries and of that of the points.
+    guess : (m,) vertices that are nearly right, or None.
+    """
+    if queries.shape[0] * points.shape[0] > EXHAUSTIVE:
+        here, there = orders
+        return nearest_in_cells(backend, backend.numpy(queries)[here.places], backend.numpy(points)[there.places])
+    return nearest_vertices(backend, queries, points, orders, guess)
 
 
 def functional_point_maps(
@@ -74,7 +117,9 @@ def functional_point_maps(
     functional : (k_y, k_x).
     source, target : (n_x, k_x) and (n_y, k_y) basis functions at vertices.
     """
-    return point_maps(backend, source, target @ functional)
+    return point_maps(
+        backend, backend.array(np.ascontiguousarray(source)), backend.array(np.ascontiguousarray(target @ functional))
+    )
 
 
 def argmax_map(
@@ -120,13 +165,18 @@ def two_way_functional_map(
     Minimises ‖Ψ C − Φ[source_of_target]‖²_{A_Y} + ‖Ψ[target_of_source] C − Φ‖²_{A_X}:
     (I + PᵀA_X P) C = ΨᵀA_Y Φ[source_of_target] + PᵀA_X Φ with P = Ψ[target_of_source].
     """
-    source_functions = np.ascontiguousarray(source.functions[:, :size])
-    target_functions = np.ascontiguousarray(target.functions[:, :size])
-    pulled = backend.array(source_functions[maps.source_of_target])
-    carried = backend.array(target_functions[maps.target_of_source])
-    mass_x, mass_y = backend.array(source.mass), backend.array(target.mass)
-    forward = backend.numpy(backend.weighted_gram(backend.array(target_functions), pulled, mass_y))
-    backward = backend.numpy(backend.weighted_gram(carried, backend.array(source_functions), mass_x))
+    x, y = (backend.array(np.ascontiguousarray(side.functions[:, :size])) for side in (source, target))
+    return two_way_least_squares(backend, x, y, backend.array(source.mass), backend.array(target.mass), maps)
+
+
+def two_way_least_squares(
+    backend: Backend, source: Any, target: Any, mass_x: Any, mass_y: Any, maps: PointMaps
+) -> NDArray[np.float64]:
+    """Return what `two_way_functional_map` does from functions (n_x, k), (n_y, k) and masses on the backend."""
+    pulled = backend.gather(source, backend.array(maps.source_of_target.astype(np.int32)))
+    carried = backend.gather(target, backend.array(maps.target_of_source.astype(np.int32)))
+    forward = backend.numpy(backend.weighted_gram(target, pulled, mass_y))
+    backward = backend.numpy(backend.weighted_gram(carried, source, mass_x))
     gram = backend.numpy(backend.weighted_gram(carried, carried, mass_x)).astype(np.float64)
     gram[np.diag_indices(len(gram))] += 1.0
     both = forward.astype(np.float64) + backward.astype(np.float64)

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.maps import PointMaps, orthogonalised, point_maps
+from clalign.alignment.maps import PointMaps, orthogonalised, point_maps_in_order
+from clalign.alignment.nearness import VertexOrder
 from clalign.alignment.refine import GROWTHS, up_sampled
 from clalign.alignment.samples import (
     SampledBasis,
@@ -95,17 +96,19 @@ def piecewise_maps(
     size : at most so many Laplace–Beltrami functions are used.
     """
     spread = spread_samples(source), spread_samples(target)
-    low_x, low_y = (
-        sampled_basis(backend, shape.basis, own) for shape, own in zip((source, target), spread, strict=True)
+    orders = VertexOrder.in_space(source.mesh.vertices), VertexOrder.in_space(target.mesh.vertices)
+    low_x, low_y, high_x, high_y = (
+        sampled_basis(backend, spectrum, own, order)
+        for spectra in ((source.basis, target.basis), descriptors)
+        for spectrum, own, order in zip(spectra, spread, orders, strict=True)
     )
-    high_x, high_y = (sampled_basis(backend, each, own) for each, own in zip(descriptors, spread, strict=True))
 
     def settled(maps: SampleMaps, sizes: tuple[int, ...]) -> SampleMaps:
         return coherent_sample_steps(backend, high_x, high_y, maps, _up_to(sizes, high_x, high_y))
 
     grown = []
     for growth in GROWTHS:
-        larger = up_sampled(backend, source, target, functional, min(size, GROWN), growth)
+        larger = up_sampled(backend, source, target, functional, min(size, GROWN), growth, orders)
         started = nearest_samples(backend, low_x, low_y, (np.eye(len(larger)), orthogonalised(larger)))
         grown.append(settled(started, SETTLING))
     maps = best_pieces(high_x, high_y, grown)
@@ -114,8 +117,12 @@ def piecewise_maps(
         maps = best_pieces(high_x, high_y, [maps, settled(maps, REGROWTH), settled(lower, SETTLING)])
     # More functions than half the equations of the least squares would fit its noise.
     count = min(high_x.count, high_y.count, max((spread[0].vertices.size + spread[1].vertices.size) // 4, 1))
-    left, right = coherent_factors(sample_functional_map(high_x, high_y, maps, count))
-    return point_maps(backend, descriptors[0].functions @ left, descriptors[1].functions @ right)
+    factors = coherent_factors(sample_functional_map(high_x, high_y, maps, count))
+    x, y = (
+        backend.product(basis.uploaded, backend.array(factor), leading=True)
+        for basis, factor in zip((high_x, high_y), factors, strict=True)
+    )
+    return point_maps_in_order(backend, x, y, orders)
 
 
 def _up_to(sizes: tuple[int, ...], source: SampledBasis, target: SampledBasis) -> tuple[int, ...]:

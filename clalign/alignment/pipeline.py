@@ -178,7 +178,7 @@ def _aligned(
     descriptors = source.descriptors.head(count, start.signs), target.descriptors.head(count)
     with clock.stage("alignment") as report:
         problem = bind(source, target, descriptors, band, backend, options)
-        reached.alignment = reached.alignment or _optimised(problem, start, options, report)
+        reached.alignment = reached.alignment or _optimised(problem, start, options, reached.maps, report)
         functional = problem.functional_map(reached.alignment.rotation)
     with clock.stage("read-out"):
         maps, points = _final_maps(problem, reached, descriptors, target, options)
@@ -209,13 +209,14 @@ def _final_maps(
     """Return the maps after the last steps, and with the sub-vertex read-out the points that they stand for."""
     assert reached.alignment is not None
     backend, maps = problem.backend, reached.last or reached.alignment.maps
-    queries, embedding = problem.embeddings(reached.alignment.rotation)
+    embedded = None
     for _ in range(options.readout.steps):
-        queries, embedding = coherent_embeddings(backend, *descriptors, maps)
-        reached.last = maps = point_maps(backend, queries, embedding)
+        embedded = coherent_embeddings(backend, *descriptors, maps)
+        reached.last = maps = point_maps(backend, *embedded, problem.orders, maps)
     if not options.readout.subvertex:
         return maps, None
-    return maps, closest_points(queries, embedding, target.mesh.faces, maps.target_of_source)
+    queries, points = (backend.numpy(each) for each in embedded or problem.embeddings(reached.alignment.rotation))
+    return maps, closest_points(queries, points, target.mesh.faces, maps.target_of_source)
 
 
 def grown_maps(
@@ -274,6 +275,7 @@ def _optimised(
     problem: AlignmentProblem,
     start: StartingRotation,
     options: Options,
+    guess: PointMaps | None,
     report: Callable[[float, str], None],
 ) -> AlignedRotation:
     budget = max(1, options.alignment.rounds * options.alignment.iterations)
@@ -284,4 +286,4 @@ def _optimised(
         done += 1
         report(min(done / budget, 1.0), f"round {number + 1}, loss {evaluation.total:.5f}")
 
-    return optimise_rotation(problem, start.rotation, options.readout.readout, watch)
+    return optimise_rotation(problem, start.rotation, options.readout.readout, watch, guess)

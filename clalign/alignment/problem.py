@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from clalign.engine.backend import Backend, Band
 from clalign.options import AlignmentOptions
 
+from .nearness import Orders
 from .views import AlignedSide, SampledFactors
 
 RIDGE = 1e-6
@@ -171,14 +172,19 @@ class AlignmentProblem:
         rotation[rows, columns] = x
         return rotation
 
-    def embeddings(self, rotation: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Return Φ̃ R (n_x, d) and Ψ̃ Rᵀ (n_y, d) (one-sided: Ψ̃) in the backend's precision."""
+    @property
+    def orders(self) -> Orders:
+        """Orders of the vertices of both shapes."""
+        return self.source.order, self.target.order
+
+    def embeddings(self, rotation: NDArray[np.float64]) -> tuple[Any, Any]:
+        """Return Φ̃ R (n_x, d) and Ψ̃ Rᵀ (n_y, d) (one-sided: Ψ̃), arrays of the backend."""
         backend = self.backend
         turn = backend.array(rotation)
-        source = backend.numpy(backend.banded_product(self._descriptors_x, turn, self.band))
+        source = backend.banded_product(self._descriptors_x, turn, self.band)
         if self._one_sided:
-            return source, backend.numpy(self._descriptors_y)
-        return source, backend.numpy(backend.banded_product(self._descriptors_y, turn, self.band, transpose_r=True))
+            return source, self._descriptors_y
+        return source, backend.banded_product(self._descriptors_y, turn, self.band, transpose_r=True)
 
     def functional_map(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return C (k_y, k_x) from R by least squares (Eq. 11, 26)."""

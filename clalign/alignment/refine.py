@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,13 @@ from clalign.alignment.maps import (
     PointMaps,
     coherent_directions,
     functional_point_maps,
-    nearest_rows,
     orthogonalised,
     point_maps,
     two_way_functional_map,
+    two_way_least_squares,
     wavelet_filtered,
 )
+from clalign.alignment.nearness import Orders, VertexOrder, nearest_in_order
 from clalign.alignment.rotation import StartingRotation, starting_rotation
 from clalign.alignment.search.batch import Level, SamplePair, up_sample
 from clalign.alignment.search.choice import map_scores
@@ -70,33 +72,45 @@ def up_sampled(
     functional: NDArray[np.float64],
     size: int,
     growth: Growth = GROWTHS[0],
+    orders: Orders | None = None,
 ) -> NDArray[np.float64]:
     """Return the functional map grown to `size` functions (ZoomOut on samples of Y against all vertices of X).
 
     Every point map is read from the orthogonalised functional map: an isometry's is orthogonal. Pointwise fields beside
     the eigenfunctions decide what the low ones leave open: which way a thin part (an arm, a hand) is turned about its
     axis shows only in functions of a wavelength below its girth, and by then an arbitrary choice would have been made.
+
+    Parameters
+    ----------
+    functional : (k, k), where to start.
+    orders : of the vertices of both shapes, or None to make them.
     """
+    order_x, order_y = orders or (
+        VertexOrder.in_space(source.mesh.vertices),
+        VertexOrder.in_space(target.mesh.vertices),
+    )
     samples = target.geodesics.samples[:UP_SAMPLING_QUERIES]
-    basis = target.basis.functions[samples]
     weights = target.geodesics.sample_weights(samples.size)
+    sorted_samples = np.argsort(order_y.places[samples])
+    samples, weights = samples[sorted_samples], weights[sorted_samples]
+    basis, functions = target.basis.functions[samples], source.basis.functions[order_x.vertices]
     largest = min(size, source.basis.count, target.basis.count, samples.size // 2)
     kept = min(growth.start or len(functional), len(functional), largest)
     sizes = [*range(kept + growth.step, largest, growth.step), largest]
     if growth.start is not None:
         sizes = [kept, kept, *sizes]
     functional = functional[:kept, :kept]
-    field_x, field_y = (pointwise_fields(shape, growth.signatures) for shape in (source, target))
+    field_x = pointwise_fields(source, growth.signatures)[order_x.vertices]
+    field_y = pointwise_fields(target, growth.signatures)[samples]
+    index = None
     for wanted in sizes:
         current = len(functional)
         scale = np.sqrt(growth.strength * current / field_x.shape[1])
-        index = nearest_rows(
-            backend,
-            np.concatenate([basis[:, :current] @ orthogonalised(functional), scale * field_y[samples]], axis=1),
-            np.concatenate([source.basis.functions[:, :current], scale * field_x], axis=1),
-        )
+        queries = np.concatenate([basis[:, :current] @ orthogonalised(functional), scale * field_y], axis=1)
+        points = backend.array(np.concatenate([functions[:, :current], scale * field_x], axis=1))
+        index = nearest_in_order(backend, backend.array(queries), points, backend.half_squares(points), index)
         weighted = basis[:, :wanted] * weights[:, None]
-        pulled = weighted.T @ source.basis.functions[index, :wanted]
+        pulled = weighted.T @ functions[index, :wanted]
         functional = np.asarray(np.linalg.solve(basis[:, :wanted].T @ weighted, pulled), dtype=np.float64)
     return functional
 
@@ -149,16 +163,21 @@ def closed_form_rotation(
     return starting_rotation(functional, band_mask(band), one_sided=one_sided)
 
 
-def coherent_embeddings(
-    backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the eigenfunctions of both shapes (n_x, d), (n_y, d) turned onto each other, weighted by coherence."""
-    directions = coherent_directions(two_way_functional_map(backend, source, target, maps))
-    return source.functions @ directions.source, target.functions @ directions.target
+def coherent_embeddings(backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps) -> tuple[Any, Any]:
+    """Return the eigenfunctions of both shapes turned onto each other, weighted by coherence.
+
+    Returns
+    -------
+    (n_x, d) and (n_y, d), arrays of the backend.
+    """
+    x, y = backend.array(source.functions), backend.array(target.functions)
+    mass_x, mass_y = backend.array(source.mass), backend.array(target.mass)
+    directions = coherent_directions(two_way_least_squares(backend, x, y, mass_x, mass_y, maps))
+    return backend.product(x, backend.array(directions.source)), backend.product(y, backend.array(directions.target))
 
 
 def coherent_steps(backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps, steps: int) -> PointMaps:
     """Return the maps after `steps` two-way steps among the scale-invariant eigenfunctions, weighted by coherence."""
     for _ in range(steps):
-        maps = point_maps(backend, *coherent_embeddings(backend, source, target, maps))
+        maps = point_maps(backend, *coherent_embeddings(backend, source, target, maps), guess=maps)
     return maps

@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.maps import PointMaps, argmax_map, nearest_rows
+from clalign.alignment.maps import PointMaps, argmax_map, both_directions, matched, nearest_rows
+from clalign.alignment.nearness import in_order
 from clalign.alignment.optimise import Status, minimise
 from clalign.alignment.problem import AlignmentProblem, Evaluation, Round
 from clalign.options import Readout
@@ -37,15 +39,30 @@ class AlignedRotation:
     status: Status
 
 
-def hard_map(problem: AlignmentProblem, rotation: NDArray[np.float64], readout: Readout) -> NDArray[np.int64]:
-    """Return target_of_source (n_x,) of R: nearest neighbours ("aligned", "functional") or Eq. 28 ("argmax")."""
+def hard_map(
+    problem: AlignmentProblem,
+    rotation: NDArray[np.float64],
+    readout: Readout,
+    guess: NDArray[np.int64] | None = None,
+) -> NDArray[np.int64]:
+    """Return target_of_source (n_x,) of R: nearest neighbours ("aligned", "functional") or Eq. 28 ("argmax").
+
+    A map that is nearly right, as `guess`, saves time and does not change the result.
+    """
     source, target, backend = problem.source, problem.target, problem.backend
     if readout == "aligned":
-        return nearest_rows(backend, *problem.embeddings(rotation))
+        turned = _in_order(problem, rotation)
+        return matched(backend, *turned, problem.orders, guess)
     functional = problem.functional_map(rotation)
     if readout == "functional":
         return nearest_rows(backend, source.basis, target.basis @ functional)
     return argmax_map(backend, functional, source.basis, target.basis, target.soft_weights)
+
+
+def _in_order(problem: AlignmentProblem, rotation: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Return the embeddings of R with their rows in the orders of the problem."""
+    source, target = problem.embeddings(rotation)
+    return in_order(problem.backend, source, problem.orders[0]), in_order(problem.backend, target, problem.orders[1])
 
 
 def read_out(
@@ -53,16 +70,19 @@ def read_out(
     rotation: NDArray[np.float64],
     readout: Readout,
     target_of_source: NDArray[np.int64] | None = None,
+    guess: PointMaps | None = None,
 ) -> PointMaps:
-    """Return both maps of R; `target_of_source` is taken as it is where it is known already.
+    """Return both maps of R; `target_of_source` is taken as it is where it is known already, `guess` saves time.
 
     The reverse of Eq. 28, which the paper does not define, is the nearest neighbour in functional-map space.
     """
     source, target, backend = problem.source, problem.target, problem.backend
-    forward = hard_map(problem, rotation, readout) if target_of_source is None else target_of_source
+    forward, (guess_there, guess_back) = target_of_source, both_directions(guess)
+    if forward is None:
+        forward = hard_map(problem, rotation, readout, guess_there)
     if readout == "aligned":
-        turned_source, turned_target = problem.embeddings(rotation)
-        return PointMaps(forward, nearest_rows(backend, turned_target, turned_source))
+        turned = _in_order(problem, rotation)
+        return PointMaps(forward, matched(backend, *turned[::-1], problem.orders[::-1], guess_back))
     pulled = target.basis @ problem.functional_map(rotation)
     return PointMaps(forward, nearest_rows(backend, pulled, source.basis))
 
@@ -72,6 +92,7 @@ def optimise_rotation(
     start: NDArray[np.float64],
     readout: Readout,
     progress: Callable[[int, Evaluation], None] | None = None,
+    guess: PointMaps | None = None,
 ) -> AlignedRotation:
     """Minimise the objective over the band entries of R in rounds.
 
@@ -84,10 +105,11 @@ def optimise_rotation(
     ----------
     start : (d, d), restricted to the funnel.
     progress : called after every evaluation with the round.
+    guess : maps near those of `start`, which save time and do not change the result.
     """
     options = problem.options
     rotation = start
-    frozen = problem.start_round(start, hard_map(problem, start, readout), options.weight)
+    frozen = problem.start_round(start, hard_map(problem, start, readout, both_directions(guess)[0]), options.weight)
     history: list[dict[str, float]] = []
     status: Status = "budget"
     for number in range(options.rounds):
@@ -110,7 +132,7 @@ def optimise_rotation(
 
     def finished() -> AlignedRotation:
         last = problem.value_and_gradient(problem.pack(rotation), frozen)
-        maps = read_out(problem, rotation, readout, frozen.target_of_source)
+        maps = read_out(problem, rotation, readout, frozen.target_of_source, guess)
         return AlignedRotation(rotation, maps, tuple(history), {"total": last.total, **last.terms}, status)
 
     try:
@@ -150,7 +172,8 @@ def _round(
     options = problem.options
     minimum = minimise(objective, start, options.iterations, options.tolerance)
     candidate = problem.unpack(minimum.x)
-    refreshed = problem.start_round(candidate, hard_map(problem, candidate, readout), frozen.weight)
+    map_there = hard_map(problem, candidate, readout, frozen.target_of_source)
+    refreshed = problem.start_round(candidate, map_there, frozen.weight)
     after = problem.value_and_gradient(problem.pack(candidate), refreshed)
     return _Ended(candidate, refreshed, before.total, after.total, minimum.status)
 

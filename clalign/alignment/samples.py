@@ -14,6 +14,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from clalign.alignment.nearness import VertexOrder, nearest_in_order
 from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape
 from clalign.geometry.spectra import Spectrum
@@ -47,11 +48,13 @@ class SampledBasis:
     ----------
     functions : (n, k) float32, enough for what only guides a choice.
     samples : S of the vertices.
-    uploaded : the functions on a backend.
+    order : of the vertices.
+    uploaded : the functions on a backend, rows in that order.
     """
 
     functions: NDArray[np.float32]
     samples: Samples
+    order: VertexOrder
     uploaded: Any
 
     @property
@@ -96,10 +99,14 @@ def spread_samples(shape: Shape, count: int = SAMPLES, pieces: int = 100) -> Sam
     return Samples(vertices, weights, np.argmin(rows, axis=0).astype(np.int64))
 
 
-def sampled_basis(backend: Backend, spectrum: Spectrum, samples: Samples) -> SampledBasis:
-    """Bind eigenfunctions to samples, and bring them to the backend once."""
+def sampled_basis(
+    backend: Backend, spectrum: Spectrum, samples: Samples, order: VertexOrder | None = None
+) -> SampledBasis:
+    """Bind eigenfunctions to samples, and bring them to the backend once, in the order given or as they are."""
     functions = spectrum.functions.astype(np.float32)
-    return SampledBasis(functions, samples, backend.array(functions))
+    if order is None:
+        order = VertexOrder.given(len(functions))
+    return SampledBasis(functions, samples, order, backend.array(functions[order.vertices]))
 
 
 def sample_functional_map(
@@ -145,20 +152,32 @@ def nearest_samples(
     source: SampledBasis,
     target: SampledBasis,
     factors: tuple[NDArray[np.float64], NDArray[np.float64]],
+    guess: SampleMaps | None = None,
 ) -> SampleMaps:
-    """Return for every sample the nearest vertex of the other shape among the functions that `factors` align."""
-    embedded, penalties = [], []
-    for basis, factor in zip((source, target), factors, strict=True):
-        padded = np.zeros((basis.uploaded.shape[1], factor.shape[1]))
-        padded[: len(factor)] = factor
-        embedded.append(backend.product(basis.uploaded, backend.array(padded)))
-        values = backend.numpy(embedded[-1])
-        penalties.append(backend.array(0.5 * np.einsum("nk,nk->n", values, values)))
-    found = []
-    for here, there, basis in ((0, 1, source), (1, 0, target)):
-        queries = backend.gather(embedded[here], backend.array(basis.samples.vertices.astype(np.int32)))
-        index, _ = backend.nearest(queries, embedded[there], penalties[there])
-        found.append(backend.numpy(index).astype(np.int64))
+    """Return for every sample the nearest vertex of the other shape among the functions that `factors` align.
+
+    Parameters
+    ----------
+    factors : (k, r) for each side, of its first k functions.
+    guess : maps that are nearly right: they save time and do not change the result; see `nearness`.
+    """
+    embedded = [
+        backend.product(basis.uploaded, backend.array(factor), leading=True)
+        for basis, factor in zip((source, target), factors, strict=True)
+    ]
+    guesses = (None, None) if guess is None else (guess.target_of_source, guess.source_of_target)
+    bases, found = (source, target), []
+    for here, there in ((0, 1), (1, 0)):
+        own, matches = bases[here], guesses[here]
+        places = own.order.places[own.samples.vertices]
+        order = np.argsort(places)
+        queries = backend.gather(embedded[here], backend.array(places[order].astype(np.int32)))
+        guessed = None if matches is None else bases[there].order.places[matches[order]]
+        points = embedded[there]
+        index = nearest_in_order(backend, queries, points, backend.half_squares(points), guessed)
+        nearest = np.empty(places.size, dtype=np.int64)
+        nearest[order] = bases[there].order.vertices[index]
+        found.append(nearest)
     return SampleMaps(*found)
 
 
@@ -168,7 +187,7 @@ def coherent_sample_steps(
     """Return the maps after one two-way step, weighted by coherence, with each number of functions."""
     for size in sizes:
         functional = sample_functional_map(source, target, maps, size)
-        maps = nearest_samples(backend, source, target, coherent_factors(functional))
+        maps = nearest_samples(backend, source, target, coherent_factors(functional), maps)
     return maps
 
 

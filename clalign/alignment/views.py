@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.alignment.nearness import VertexOrder
 from clalign.geometry.shape import Shape
 from clalign.options import AlignmentOptions
 
@@ -24,6 +25,7 @@ class AlignedSide:
     soft_weights : (n,) row weights of the soft map: areas, or ones as in the paper.
     normal : (k, k) Φᵀ diag(soft_weights) Φ, or None where it is the identity.
     left, core : (n, r) and (r, r), D ≈ left core leftᵀ.
+    order : of the vertices, for searches among them.
     """
 
     basis: NDArray[np.float64]
@@ -34,6 +36,7 @@ class AlignedSide:
     normal: NDArray[np.float64] | None
     left: NDArray[np.float64]
     core: NDArray[np.float64]
+    order: VertexOrder
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,7 @@ def aligned_side(
         normal=basis.T @ basis if uniform else None,
         left=shape.factors.left,
         core=shape.factors.core,
+        order=VertexOrder.in_space(shape.mesh.vertices),
     )
 
 

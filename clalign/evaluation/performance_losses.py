@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.alignment.funnel import funnel_band
+from clalign.alignment.nearness import VertexOrder
 from clalign.alignment.problem import AlignmentProblem, Round
 from clalign.alignment.views import AlignedSide, SampledFactors
 from clalign.engine.backend import Backend
@@ -158,6 +159,7 @@ def synthetic_problem(
         normal=None,
         left=left,
         core=core + core.T,
+        order=VertexOrder.given(count),
     )
     factors = SampledFactors(np.arange(chosen), np.full(chosen, 1.0 / chosen), left[:chosen], core + core.T)
     options = AlignmentOptions()

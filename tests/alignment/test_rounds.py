@@ -56,7 +56,7 @@ def test_embeddings_on_the_backend_are_those_of_the_host(bind_small: Callable[..
     source, target = problem.source.descriptors, problem.target.descriptors
     on_host = source @ inside, target if sides == "one" else target @ inside.T
     for made, expected in zip(problem.embeddings(inside), on_host, strict=True):
-        np.testing.assert_allclose(made, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+        np.testing.assert_allclose(problem.backend.numpy(made), expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
 def test_no_point_of_a_round_is_evaluated_twice(
