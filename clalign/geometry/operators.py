@@ -26,7 +26,7 @@ SMALLEST_MASS = 1e-8
 #: Diffusion time of the "heat-kernel" metric in units of the surface area.
 HEAT_TIME = 5e-3
 
-_FACES_AT_ONCE = 16384
+_FACES_AT_ONCE = 1024
 
 
 def stiffness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> sparse.csr_matrix:
@@ -239,15 +239,13 @@ def orientation_tensor(faces: NDArray[np.int32], functions: NDArray[np.float64])
     (p, p, p) float64, antisymmetric in the first two indices.
     """
     p = functions.shape[1]
-    above, below = np.triu_indices(p, 1)
-    products = np.zeros((len(above), p), dtype=np.float64)
+    # One half of the determinants, for all a, b and c; the other half is the same with a and b exchanged.
+    half = np.zeros((p, p * p), dtype=np.float64)
     for start in range(0, len(faces), _FACES_AT_ONCE):
         corners = functions[faces[start : start + _FACES_AT_ONCE]]
         first = corners[:, 1] - corners[:, 0]
         second = corners[:, 2] - corners[:, 0]
-        determinant = first[:, above] * second[:, below] - first[:, below] * second[:, above]
-        products += 0.5 * determinant.T @ corners.mean(axis=1)
-    tensor = np.zeros((p, p, p), dtype=np.float64)
-    tensor[above, below] = products
-    tensor[below, above] = -products
-    return tensor
+        carried = second[:, :, None] * corners.mean(axis=1)[:, None, :]
+        half += 0.5 * first.T @ carried.reshape(len(corners), p * p)
+    tensor = half.reshape(p, p, p)
+    return tensor - tensor.transpose(1, 0, 2)
