@@ -213,12 +213,12 @@ def _meyer_filters(eigenvalues: NDArray[np.float64], largest: float, bands: int)
 
 @dataclass(frozen=True)
 class Coherence:
-    """A functional map split into orthogonal directions and how well the two shapes agree in each.
+    """How well two shapes agree, direction by direction, as what brings their functions together.
 
     Attributes
     ----------
-    source : (k_x, r), to be multiplied from the right to the source's functions.
-    target : (k_y, r), to the target's; the products lie close together at matched vertices.
+    source : (k_x, k_x), to be multiplied from the right to the source's functions.
+    target : (k_y, k_x), to the target's; the products lie close together at matched vertices.
     """
 
     source: NDArray[np.float64]
@@ -226,15 +226,19 @@ class Coherence:
 
 
 def coherent_directions(functional: NDArray[np.float64]) -> Coherence:
-    """Return the singular directions of a two-way functional map, each weighted by its singular value (at most 1).
+    """Return what weights each singular direction of a two-way functional map by its singular value (at most 1).
 
     In the two-way least squares a singular value is the correlation, over both surfaces, between a function on X and
     its image on Y: 1 where the shapes agree, less where they are not isometric. A nearest neighbour weighted so listens
     to the directions that are known well. With all weights 1 it would be the orthogonalised functional map.
+
+    With C = U Σ Vᵀ and W = min(Σ, 1) these are V W Vᵀ and U W Vᵀ: the last factor changes no distance, and turns back
+    to the functions of the source. The low ones, which tell apart what is far from each other, come first, so that most
+    pairs are told apart by them (see `nearness`).
     """
     left, values, right = np.linalg.svd(functional, full_matrices=False)
     weights = np.minimum(values, 1.0)
-    return Coherence(right.T * weights, left * weights)
+    return Coherence((right.T * weights) @ right, (left * weights) @ right)
 
 
 def orthogonalised(matrix: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -132,12 +132,13 @@ def sample_functional_map(
 def coherent_factors(functional: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return matrices for source and target functions whose products lie close together at matched vertices.
 
-    Up to a common rotation they are `maps.coherent_directions`: with C = U Σ Vᵀ, V min(Σ, 1) and U min(Σ, 1), made from
-    the eigenvectors V of CᵀC, which cost a tenth of a singular value decomposition.
+    They are `maps.coherent_directions`, made from the eigenvectors of CᵀC, which cost a tenth of a singular value
+    decomposition.
     """
     squares, right = np.linalg.eigh(functional.T @ functional)
     values = np.sqrt(np.maximum(squares, 0.0))
-    return right * np.minimum(values, 1.0), (functional @ right) * np.minimum(1.0, 1.0 / np.maximum(values, 1e-12))
+    source = (right * np.minimum(values, 1.0)) @ right.T
+    return source, functional @ ((right * np.minimum(1.0, 1.0 / np.maximum(values, 1e-12))) @ right.T)
 
 
 def orthogonal_factors(functional: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
