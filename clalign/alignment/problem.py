@@ -248,9 +248,10 @@ class AlignmentProblem:
         # The ridge is relative, ρ tr(G) / k, so it has a slope too: 2 ρ / k tr(dG) α.
         size = gram.shape[0]
         trace = backend.weighted_gram(dgram.reshape(size * size, 1), self._diagonals[size])
-        flat = (alpha.shape[0] * alpha.shape[1], 1)
+        # As one long row: a product writes many columns at once, and of a single column only one value.
+        flat = (1, alpha.shape[0] * alpha.shape[1])
         slope_scale = 2.0 * RIDGE / size
-        backend.product(alpha.reshape(flat), trace, scale=slope_scale, accumulate=True, out=dalpha.reshape(flat))
+        backend.product(trace, alpha.reshape(flat), scale=slope_scale, accumulate=True, out=dalpha.reshape(flat))
         return dalpha, dbeta
 
     def _rotation_gradient(self, dalpha: Any, dbeta: Any) -> Any:
