@@ -22,7 +22,7 @@ from clalign.alignment.samples import (
     coherent_factors,
     coherent_sample_steps,
     nearest_samples,
-    orthogonal_factors,
+    quickly_orthogonalised,
     sample_functional_map,
     sampled_basis,
     spread_samples,
@@ -55,10 +55,9 @@ def embedding_residuals(
     weighted by coherence a worse map would be forgiven more.
     """
     size = min(source.count, target.count, LIMIT)
-    factors = orthogonal_factors(sample_functional_map(source, target, maps, size))
-    left, right = (factor.astype(np.float32) for factor in factors)
-    at_x = source.at_samples(size) @ left - target.functions[maps.target_of_source, :size] @ right
-    at_y = target.at_samples(size) @ right - source.functions[maps.source_of_target, :size] @ left
+    turn = quickly_orthogonalised(sample_functional_map(source, target, maps, size)).astype(np.float32)
+    at_x = source.at_samples(size) - target.functions[maps.target_of_source, :size] @ turn
+    at_y = target.at_samples(size) @ turn - source.functions[maps.source_of_target, :size]
     return np.einsum("sk,sk->s", at_x, at_x), np.einsum("sk,sk->s", at_y, at_y)
 
 

@@ -7,6 +7,7 @@ costs a tenth, so that many variants of a map can be tried; see `pieces`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -62,9 +63,19 @@ class SampledBasis:
         """Number of functions."""
         return self.functions.shape[1]
 
+    @cached_property
+    def sampled(self) -> NDArray[np.float32]:
+        """The functions at the samples (S, k)."""
+        return self.functions[self.samples.vertices]
+
+    @cached_property
+    def gram(self) -> NDArray[np.float32]:
+        """Products of the functions, summed over the samples with their weights: (k, k)."""
+        return self.sampled.T @ (self.sampled * self.samples.weights[:, None].astype(np.float32))
+
     def at_samples(self, size: int) -> NDArray[np.float32]:
         """Return the first `size` functions at the samples (S, size)."""
-        return self.functions[self.samples.vertices, :size]
+        return self.sampled[:, :size]
 
 
 @dataclass(frozen=True)
@@ -123,7 +134,7 @@ def sample_functional_map(
     own_x, own_y = source.at_samples(size), target.at_samples(size)
     weighted_y = (own_y * target.samples.weights[:, None].astype(np.float32)).T
     weighted_x = (carried * source.samples.weights[:, None].astype(np.float32)).T
-    gram = (weighted_y @ own_y + weighted_x @ carried).astype(np.float64)
+    gram = (target.gram[:size, :size] + weighted_x @ carried).astype(np.float64)
     gram[np.diag_indices(size)] += RIDGE * np.trace(gram) / size
     both = (weighted_y @ pulled + weighted_x @ own_x).astype(np.float64)
     return np.asarray(scipy.linalg.solve(gram, both, assume_a="pos", check_finite=False), dtype=np.float64)
@@ -141,11 +152,11 @@ def coherent_factors(functional: NDArray[np.float64]) -> tuple[NDArray[np.float6
     return source, functional @ ((right * np.minimum(1.0, 1.0 / np.maximum(values, 1e-12))) @ right.T)
 
 
-def orthogonal_factors(functional: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return matrices for source and target functions of the orthogonalised functional map, all weights 1."""
+def quickly_orthogonalised(functional: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `maps.orthogonalised` of an invertible functional map, for a third of its time."""
     squares, right = np.linalg.eigh(functional.T @ functional)
     inverse = 1.0 / np.sqrt(np.maximum(squares, 1e-12 * max(float(squares[-1]), 1e-300)))
-    return right, (functional @ right) * inverse
+    return functional @ ((right * inverse) @ right.T)
 
 
 def nearest_samples(
