@@ -93,8 +93,10 @@ def up_sampled(
     weights = target.geodesics.sample_weights(samples.size)
     sorted_samples = np.argsort(order_y.places[samples])
     samples, weights = samples[sorted_samples], weights[sorted_samples]
-    basis, functions = target.basis.functions[samples], source.basis.functions[order_x.vertices]
     largest = min(size, source.basis.count, target.basis.count, samples.size // 2)
+    basis, functions = target.basis.functions[samples, :largest], source.basis.functions[order_x.vertices, :largest]
+    weighted = basis * weights[:, None]
+    gram = basis.T @ weighted
     kept = min(growth.start or len(functional), len(functional), largest)
     sizes = [*range(kept + growth.step, largest, growth.step), largest]
     if growth.start is not None:
@@ -107,11 +109,11 @@ def up_sampled(
         current = len(functional)
         scale = np.sqrt(growth.strength * current / field_x.shape[1])
         queries = np.concatenate([basis[:, :current] @ orthogonalised(functional), scale * field_y], axis=1)
-        points = backend.array(np.concatenate([functions[:, :current], scale * field_x], axis=1))
+        rows = np.concatenate([functions[:, :current], scale * field_x], axis=1, dtype=backend.dtype)
+        points = backend.array(rows)
         index = nearest_in_order(backend, backend.array(queries), points, backend.half_squares(points), index)
-        weighted = basis[:, :wanted] * weights[:, None]
-        pulled = weighted.T @ functions[index, :wanted]
-        functional = np.asarray(np.linalg.solve(basis[:, :wanted].T @ weighted, pulled), dtype=np.float64)
+        pulled = weighted[:, :wanted].T @ functions[index, :wanted]
+        functional = np.asarray(np.linalg.solve(gram[:wanted, :wanted], pulled), dtype=np.float64)
     return functional
 
 
