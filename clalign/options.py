@@ -57,6 +57,10 @@ class SpectrumOptions:
     metric : conformal factor of the scale-invariant operator: "power" |K|^xi (Eq. 29), "regularized"
         sqrt(K² + epsilon²) (Eq. 7), "euclidean" 1 (Eq. 3), "heat-kernel", or "auto" (xi chosen per pair).
     xi : exponent of "power", in (0, 1].
+    smoothing : diffusion time of K before "power" and "regularized" take it, in units of the surface's area, at least
+        0, for pairs of which a mesh is noisy; 0 takes it as it is, as the paper does.
+    noisy_below : a mesh is noisy whose angle defects correlate less than this between neighbours, in [0, 1]; 1
+        smooths every mesh. Surfaces without noise are above 0.3.
     clamp : |K| is clamped to its [clamp, 1 - clamp] quantiles before the power, in [0, 0.5).
     epsilon : constant of "regularized", in units of 1/area.
     solver : "block" (shift-invert block Lanczos, written here) or "arpack" (the reference).
@@ -67,6 +71,8 @@ class SpectrumOptions:
     descriptors: int = 352
     metric: Metric = "power"
     xi: float = 0.5
+    smoothing: float = 0.0005
+    noisy_below: float = 0.3
     clamp: float = 0.02
     epsilon: float = 1.0
     solver: Literal["block", "arpack"] = "block"
@@ -74,6 +80,8 @@ class SpectrumOptions:
     def __post_init__(self) -> None:
         _check_choices("spectrum", self)
         _positive("spectrum", self, "basis", "descriptors", "epsilon", "refinement")
+        _not_negative("spectrum", self, "smoothing")
+        _require(0 <= self.noisy_below <= 1, f"spectrum.noisy_below must lie in [0, 1], got {self.noisy_below!r}")
         _require(0 < self.xi <= 1, f"spectrum.xi must lie in (0, 1], got {self.xi!r}")
         _require(0 <= self.clamp < 0.5, f"spectrum.clamp must lie in [0, 0.5), got {self.clamp!r}")
 
@@ -324,6 +332,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
     "paper": {
         "spectrum.refinement": 120,
+        "spectrum.smoothing": 0.0,
         "search.method": "random",
         "alignment.weights": "uniform",
         "alignment.denominator": "frozen",

@@ -98,6 +98,8 @@ def test_every_choice_lists_what_there_is(name: str) -> None:
         ({"seed": float("nan")}, "must be int"),
         ({"seed": "-1"}, "seed must not be negative"),
         ({"spectrum.xi": 1.5}, r"\(0, 1\]"),
+        ({"spectrum.smoothing": -1e-3}, "must not be negative"),
+        ({"spectrum.noisy_below": 1.5}, r"\[0, 1\]"),
         ({"spectrum.clamp": 0.5}, r"\[0, 0.5\)"),
         ({"spectrum.__class__": 3}, "unknown option"),
         ({"seed.x": 3}, "unknown option group 'seed'"),

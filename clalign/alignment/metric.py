@@ -41,7 +41,10 @@ def choose_metric(
         if exponent == options.xi:
             pair = source, target
         else:
-            pair = with_descriptors(source, chosen), with_descriptors(target, chosen)
+            pair = (
+                with_descriptors(source, chosen, smoothing=source.smoothing),
+                with_descriptors(target, chosen, smoothing=target.smoothing),
+            )
         size = min(band.size, pair[0].descriptors.count, pair[1].descriptors.count)
         functional = two_way_functional_map(backend, pair[0].descriptors, pair[1].descriptors, maps, size)
         values = np.linalg.svd(functional * band_mask(band)[:size, :size], compute_uv=False)

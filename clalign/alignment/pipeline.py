@@ -30,7 +30,7 @@ from clalign.alignment.search import SearchResult, find_isometry
 from clalign.alignment.subvertex import SurfacePoints, closest_points
 from clalign.alignment.views import aligned_side, sampled_factors
 from clalign.engine.backend import Backend, Band
-from clalign.geometry.shape import Shape
+from clalign.geometry.shape import Shape, equally_smoothed
 from clalign.geometry.spectra import Spectrum
 from clalign.options import Options
 
@@ -131,6 +131,9 @@ def align_pair(source: Shape, target: Shape, backend: Backend, options: Options,
     clock : collects the timings.
     """
     reached = Reached()
+    if source.smoothing != target.smoothing:
+        with clock.stage("metric"):
+            source, target = equally_smoothed(source, target, options.spectrum)
     try:
         return _aligned(source, target, backend, options, clock, reached)
     except KeyboardInterrupt:

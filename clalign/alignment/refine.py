@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.alignment.fields import Kind, pointwise_fields
 from clalign.alignment.funnel import band_mask
 from clalign.alignment.maps import (
     PointMaps,
@@ -29,7 +30,6 @@ from clalign.geometry.shape import Shape
 from clalign.geometry.spectra import Spectrum
 
 UP_SAMPLING_QUERIES = 1000
-LARGEST_FIELD = 3.0
 
 
 @dataclass(frozen=True)
@@ -39,30 +39,22 @@ class Growth:
     start : functions that are kept of it; None keeps all.
     step : functions added at a time.
     strength : variance of the pointwise fields beside the eigenfunctions, relative to theirs.
-    signatures : the fields are heat kernel signatures and curvatures, else curvatures alone.
+    fields : which fields; see `fields.pointwise_fields`.
     """
 
     start: int | None = None
     step: int = 10
     strength: float = 0.0
-    signatures: bool = False
+    fields: Kind = "curvatures"
 
 
 GROWTHS = (
     Growth(None, 20),
-    Growth(40, 20, 0.2, True),
-    Growth(40, 20, 0.4, True),
-    Growth(30, 20, 0.1, False),
-    Growth(50, 20, 0.2, True),
+    Growth(40, 20, 0.2, "signatures"),
+    Growth(30, 20, 0.1, "curvatures"),
+    Growth(15, 20, 0.5, "oriented"),
+    Growth(25, 20, 0.25, "oriented"),
 )
-
-
-def pointwise_fields(shape: Shape, signatures: bool) -> NDArray[np.float64]:
-    """Return smoothed curvatures, with log-HKS if asked for, at all vertices (n, f): mean 0, variance 1, cut at 3."""
-    fields = np.concatenate([shape.curvatures, shape.signatures], axis=1) if signatures else shape.curvatures
-    centred = fields - shape.mass @ fields
-    spread = np.sqrt(shape.mass @ centred**2)
-    return np.clip(centred / np.maximum(spread, 1e-12), -LARGEST_FIELD, LARGEST_FIELD)
 
 
 def up_sampled(
@@ -76,9 +68,8 @@ def up_sampled(
 ) -> NDArray[np.float64]:
     """Return the functional map grown to `size` functions (ZoomOut on samples of Y against all vertices of X).
 
-    Every point map is read from the orthogonalised functional map: an isometry's is orthogonal. Pointwise fields beside
-    the eigenfunctions decide what the low ones leave open: which way a thin part (an arm, a hand) is turned about its
-    axis shows only in functions of a wavelength below its girth, and by then an arbitrary choice would have been made.
+    Every point map is read from the orthogonalised functional map: an isometry's is orthogonal. Pointwise fields stand
+    beside the eigenfunctions with a strength that grows with their number.
 
     Parameters
     ----------
@@ -102,8 +93,8 @@ def up_sampled(
     if growth.start is not None:
         sizes = [kept, kept, *sizes]
     functional = functional[:kept, :kept]
-    field_x = pointwise_fields(source, growth.signatures)[order_x.vertices]
-    field_y = pointwise_fields(target, growth.signatures)[samples]
+    field_x, field_y = pointwise_fields(source, target, functional, growth.fields)
+    field_x, field_y = field_x[order_x.vertices], field_y[samples]
     index = None
     for wanted in sizes:
         current = len(functional)

@@ -14,7 +14,7 @@ from clalign.alignment.refine import closed_form_rotation, coherent_steps
 from clalign.correspondence import Correspondence
 from clalign.engine.backend import Backend
 from clalign.geometry.mesh import Mesh
-from clalign.geometry.shape import Shape
+from clalign.geometry.shape import Shape, equally_smoothed
 from clalign.matching import local_distortion
 from clalign.options import Options
 
@@ -30,6 +30,7 @@ def derived_correspondence(
     functional : (L, L) orthogonal, from coefficients in the first LBO functions of the source to those of the target.
     """
     clock = Clock()
+    source, target = equally_smoothed(source, target, options.spectrum)
     with clock.stage("up-sampling"):
         maps = grown_maps(backend, source, target, functional, options)
     count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)

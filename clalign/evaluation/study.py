@@ -74,6 +74,8 @@ STUDIES: dict[str, Study] = {
         "the metric",
         (
             *_values("ξ", "spectrum.xi", (0.1, 0.2, 0.3, 0.5, 0.75, 1.0)),
+            Setting("K never smoothed", {"spectrum.smoothing": 0.0}),
+            Setting("K always smoothed", {"spectrum.noisy_below": 1.0}),
             _metric("Euclidean (Eq. 3)", "euclidean"),
             _metric("regularized (Eq. 7)", "regularized"),
             _metric("heat kernel", "heat-kernel"),

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from clalign.errors import InputError
 from clalign.options import SpectrumOptions
 
+from .lanczos import factorise
+
 if TYPE_CHECKING:
     from .spectra import Spectrum
 
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 SLIVER = 1e-5
 #: A vertex area below this fraction of the mean one is raised to it, so that the mass matrix can be inverted.
 SMALLEST_MASS = 1e-8
+#: Angle defects are cut at this quantile of their magnitudes before they are correlated.
+DEFECT_QUANTILE = 0.98
 #: Diffusion time of the "heat-kernel" metric in units of the surface area.
 HEAT_TIME = 5e-3
 
@@ -144,6 +148,61 @@ def mean_curvature(
     return np.einsum("nx,nx->n", vertex_normals(vertices, faces), pull) / (2.0 * mass)
 
 
+def defect_correlation(curvature: NDArray[np.float64], mass: NDArray[np.float64], faces: NDArray[np.int32]) -> float:
+    """Return the correlation of the angle defects of neighbours: how far the curvature of vertices can be trusted.
+
+    On a surface that is sampled well curvature varies little from a vertex to the next. Noise that lifts a vertex
+    raises its defect and lowers those around it, so it correlates negatively. On humans and animals without noise the
+    value is 0.3 to 0.7, with noise of a tenth of the edges 0.04, with two tenths −0.14; after splitting every flat face
+    into four it is 0.
+
+    Parameters
+    ----------
+    curvature : (n,) angle defects over areas.
+    mass : (n,) vertex areas.
+    faces : (m, 3) int32
+
+    Returns
+    -------
+    A number in [−1, 1]; 1 for a surface without curvature.
+    """
+    defects = curvature * mass
+    limit = np.quantile(np.abs(defects), DEFECT_QUANTILE)
+    defects = np.clip(defects, -limit, limit)
+    first, second = defects[faces], defects[np.roll(faces, 1, axis=1)]
+    variance = 0.5 * np.sum(first**2 + second**2)
+    return float(np.sum(first * second) / variance) if variance > 0 else 1.0
+
+
+def diffused(
+    values: NDArray[np.float64], mass: NDArray[np.float64], weights: sparse.csr_matrix, time: float
+) -> NDArray[np.float64]:
+    """Return values after one implicit step of the heat equation, (M + t W) f = M values.
+
+    Unlike smoothing over neighbours this forgets what is finer than about sqrt(2t), whatever the mesh; the total
+    ``mass @ values`` is kept.
+
+    Parameters
+    ----------
+    values : (n,) float64.
+    mass : (n,) vertex areas, the diagonal of M.
+    weights : (n, n) stiffness matrix W.
+    time : t in units of the surface's area ΣM; 0 returns the values.
+
+    Returns
+    -------
+    (n,) float64, in the units of the values.
+    """
+    if time == 0:
+        return values
+    # M + tW = t √M (A + 1/t) √M with A = √M⁻¹ W √M⁻¹, the symmetric operator that the spectra are solved with.
+    root = np.sqrt(mass)
+    inverse_root = sparse.diags_array(1.0 / root)
+    shift = 1.0 / (time * mass.sum())
+    solved = factorise(sparse.csc_matrix(inverse_root @ weights @ inverse_root), -shift).solve(shift * root * values)
+    return np.asarray(solved / root, dtype=np.float64)
+
+
 def conformal_factor(
     curvature: NDArray[np.float64],
     mass: NDArray[np.float64],
@@ -159,7 +218,7 @@ def conformal_factor(
 
     Parameters
     ----------
-    curvature : (n,) Gaussian curvature.
+    curvature : (n,) Gaussian curvature, smoothed or not.
     mass : (n,) vertex areas.
     options : metric, xi, clamp and epsilon are read.
     spectrum : eigenfunctions of the Laplace–Beltrami operator, needed by "heat-kernel" only.
@@ -220,6 +279,35 @@ def heat_kernel_curvature(spectrum: Spectrum, time: float | None = None) -> NDAr
     kernel = np.square(spectrum.functions) @ np.exp(-spectrum.eigenvalues * time)
     tail = np.exp(-last * time) / (4.0 * np.pi * time)
     return (3.0 / time) * (4.0 * np.pi * time * (kernel + tail) - 1.0)
+
+
+def orientation_products(
+    faces: NDArray[np.int32],
+    mass: NDArray[np.float64],
+    functions: NDArray[np.float64],
+    first: NDArray[np.int64],
+    second: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Return n · (∇f_a × ∇f_b) at the vertices for pairs of functions, the mean over the faces around each vertex.
+
+    Parameters
+    ----------
+    faces : (m, 3) int32, consistently oriented.
+    mass : (n,) vertex areas.
+    functions : (n, p) float64.
+    first, second : (q,), a and b of every pair.
+
+    Returns
+    -------
+    (n, q) float64, in units of f² / area; the sign changes with the orientation of the faces.
+    """
+    corners = functions[faces]
+    along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    totals = (along[:, first] * across[:, second] - along[:, second] * across[:, first]) / 6.0
+    around = sparse.csr_matrix(
+        (np.ones(faces.size), (faces.ravel(), np.repeat(np.arange(len(faces)), 3))), shape=(len(mass), len(faces))
+    )
+    return np.asarray(around @ totals, dtype=np.float64) / mass[:, None]
 
 
 def orientation_tensor(faces: NDArray[np.int32], functions: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -22,6 +22,8 @@ from .heat_process import HeatProcess
 from .mesh import Mesh
 from .operators import (
     conformal_factor,
+    defect_correlation,
+    diffused,
     gaussian_curvature,
     lumped_mass,
     mean_curvature,
@@ -53,6 +55,7 @@ class Shape:
     stiffness : (n, n) cotangent matrix.
     mass : (n,) vertex areas, summing to 1.
     curvature : (n,) Gaussian curvature.
+    smoothing : diffusion time of the curvature in the metric of the descriptors, in units of area.
     basis : Laplace–Beltrami eigenfunctions.
     descriptors : scale-invariant eigenfunctions; their own mass is the conformal factor times `mass`.
     geodesics : distances from farthest-point samples.
@@ -66,6 +69,7 @@ class Shape:
     stiffness: sparse.csr_matrix
     mass: NDArray[np.float64]
     curvature: NDArray[np.float64]
+    smoothing: float
     basis: Spectrum
     descriptors: Spectrum
     geodesics: Geodesics
@@ -104,9 +108,9 @@ def prepare(mesh: Mesh, options: Options, cache: ShapeCache | None = None) -> Sh
 
 
 def prepare_pair(source: Mesh, target: Mesh, options: Options, cache: ShapeCache | None = None) -> tuple[Shape, Shape]:
-    """Prepare two meshes side by side; see `prepare`."""
+    """Prepare two meshes side by side, to be matched with each other; see `prepare`."""
     first, second = prepare_all([source, target], options, cache)
-    return first, second
+    return equally_smoothed(first, second, options.spectrum, cache)
 
 
 def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | None = None) -> list[Shape]:
@@ -129,14 +133,35 @@ def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | No
         ]
 
 
-def with_descriptors(shape: Shape, options: SpectrumOptions, cache: ShapeCache | None = None) -> Shape:
-    """Return a shape whose scale-invariant eigenfunctions are those of other options, all else kept."""
+def with_descriptors(
+    shape: Shape, options: SpectrumOptions, cache: ShapeCache | None = None, *, smoothing: float | None = None
+) -> Shape:
+    """Return a shape whose scale-invariant eigenfunctions are those of other options, all else kept.
+
+    smoothing : diffusion time of the curvature instead of what the options and the mesh ask for.
+    """
     operators = _Operators(shape.stiffness, shape.mass, shape.curvature)
+    time = _smoothing(shape.mesh, operators, options) if smoothing is None else smoothing
     with single_threaded_blas():
-        return dataclasses.replace(shape, descriptors=_descriptors(shape.mesh, operators, shape.basis, options, cache))
+        descriptors = _descriptors(shape.mesh, operators, shape.basis, options, time, cache)
+    return dataclasses.replace(shape, descriptors=descriptors, smoothing=time)
 
 
-def _spectra(mesh: Mesh, options: SpectrumOptions, cache: ShapeCache | None) -> tuple[_Operators, Spectrum, Spectrum]:
+def equally_smoothed(
+    source: Shape, target: Shape, options: SpectrumOptions, cache: ShapeCache | None = None
+) -> tuple[Shape, Shape]:
+    """Return both shapes with the smoothing of the noisier one: eigenfunctions of different metrics do not match."""
+    time = max(source.smoothing, target.smoothing)
+    first, second = (
+        shape if shape.smoothing == time else with_descriptors(shape, options, cache, smoothing=time)
+        for shape in (source, target)
+    )
+    return first, second
+
+
+def _spectra(
+    mesh: Mesh, options: SpectrumOptions, cache: ShapeCache | None
+) -> tuple[_Operators, float, Spectrum, Spectrum]:
     mass = lumped_mass(mesh.vertices, mesh.faces)
     operators = _Operators(
         stiffness(mesh.vertices, mesh.faces), mass, gaussian_curvature(mesh.vertices, mesh.faces, mass)
@@ -148,19 +173,34 @@ def _spectra(mesh: Mesh, options: SpectrumOptions, cache: ShapeCache | None) -> 
         Spectrum,
         lambda: solve(operators.stiffness, mass, count, options.solver, processor_count()),
     )
-    return operators, basis, _descriptors(mesh, operators, basis, options, cache)
+    smoothing = _smoothing(mesh, operators, options)
+    return operators, smoothing, basis, _descriptors(mesh, operators, basis, options, smoothing, cache)
+
+
+def _smoothing(mesh: Mesh, operators: _Operators, options: SpectrumOptions) -> float:
+    """Return the diffusion time of the curvature that a mesh asks for."""
+    if options.metric in ("euclidean", "heat-kernel"):
+        return 0.0
+    noisy = defect_correlation(operators.curvature, operators.mass, mesh.faces) < options.noisy_below
+    return options.smoothing if noisy else 0.0
 
 
 def _descriptors(
-    mesh: Mesh, operators: _Operators, basis: Spectrum, options: SpectrumOptions, cache: ShapeCache | None
+    mesh: Mesh,
+    operators: _Operators,
+    basis: Spectrum,
+    options: SpectrumOptions,
+    smoothing: float,
+    cache: ShapeCache | None,
 ) -> Spectrum:
     def compute() -> Spectrum:
-        factor = conformal_factor(operators.curvature, operators.mass, options, basis)
+        curvature = diffused(operators.curvature, operators.mass, operators.stiffness, smoothing)
+        factor = conformal_factor(curvature, operators.mass, options, basis)
         mass = operators.mass * factor
         return solve(operators.stiffness, mass, options.descriptors, options.solver, processor_count())
 
     names = ("descriptors", "metric", "xi", "clamp", "epsilon", "solver")
-    values = {name: getattr(options, name) for name in names} | {"basis": basis.count}
+    values = {name: getattr(options, name) for name in names} | {"basis": basis.count, "smoothing": smoothing}
     return _stored(cache, content_key("descriptors", _surface(mesh), values), Spectrum, compute)
 
 
@@ -197,13 +237,21 @@ def _surface(mesh: Mesh) -> dict[str, NDArray[Any]]:
     return {"vertices": mesh.vertices, "faces": mesh.faces}
 
 
-def _shape(mesh: Mesh, operators: _Operators, basis: Spectrum, descriptors: Spectrum, geodesics: Geodesics) -> Shape:
+def _shape(
+    mesh: Mesh,
+    operators: _Operators,
+    smoothing: float,
+    basis: Spectrum,
+    descriptors: Spectrum,
+    geodesics: Geodesics,
+) -> Shape:
     mean = mean_curvature(mesh.vertices, mesh.faces, operators.mass, operators.stiffness)
     return Shape(
         mesh=mesh,
         stiffness=operators.stiffness,
         mass=operators.mass,
         curvature=operators.curvature,
+        smoothing=smoothing,
         basis=basis,
         descriptors=descriptors,
         geodesics=geodesics,

@@ -17,7 +17,7 @@ import threadpoolctl
 from clalign.geometry import shape as shape_module
 from clalign.geometry.cache import ShapeCache
 from clalign.geometry.mesh import Mesh, mesh_from_arrays
-from clalign.geometry.shape import Shape, prepare, prepare_all, prepare_pair, with_descriptors
+from clalign.geometry.shape import Shape, equally_smoothed, prepare, prepare_all, prepare_pair, with_descriptors
 from clalign.geometry.workers import single_threaded_blas
 from clalign.options import Options, SpectrumOptions
 
@@ -178,6 +178,32 @@ def test_other_descriptors_for_a_prepared_shape(bumpy: Mesh, bumpy_shape: Shape)
     changed = with_descriptors(bumpy_shape, dataclasses.replace(OPTIONS.spectrum, xi=0.15, descriptors=50))
     expected = prepare(bumpy, OPTIONS.replace({"spectrum.xi": 0.15, "spectrum.descriptors": 50}))
     assert_same(changed, expected)
+
+
+def noisy(mesh: Mesh) -> Mesh:
+    rng = np.random.default_rng(0)
+    return analytic.as_unit_mesh((mesh.vertices + 0.01 * rng.standard_normal(mesh.vertices.shape), mesh.faces), "noisy")
+
+
+def test_curvature_is_smoothed_where_it_is_noise(bumpy: Mesh, bumpy_shape: Shape) -> None:
+    assert bumpy_shape.smoothing == 0.0
+    assert prepare(noisy(bumpy), OPTIONS).smoothing == OPTIONS.spectrum.smoothing > 0
+    assert prepare(noisy(bumpy), OPTIONS.replace({"spectrum.metric": "euclidean"})).smoothing == 0.0
+    assert prepare(bumpy, OPTIONS.replace({"spectrum.noisy_below": 1.0})).smoothing > 0
+    assert Options.preset("paper").spectrum.smoothing == 0.0
+
+
+def test_a_pair_is_smoothed_as_its_noisier_mesh_asks_for(bumpy: Mesh, bumpy_shape: Shape, tmp_path: Path) -> None:
+    cache = ShapeCache(tmp_path)
+    clean, rough = prepare_pair(bumpy, noisy(bumpy), OPTIONS, cache)
+    assert clean.smoothing == rough.smoothing == OPTIONS.spectrum.smoothing
+    assert_same(clean, prepare(bumpy, OPTIONS.replace({"spectrum.noisy_below": 1.0})))
+    assert np.abs(clean.descriptors.eigenvalues - bumpy_shape.descriptors.eigenvalues).max() > 1.0
+    again, _ = equally_smoothed(clean, bumpy_shape, OPTIONS.spectrum)
+    assert again is clean
+    # Another exponent for a pair keeps its smoothing.
+    changed = with_descriptors(clean, dataclasses.replace(OPTIONS.spectrum, xi=0.3), smoothing=clean.smoothing)
+    assert changed.smoothing == clean.smoothing
 
 
 @pytest.mark.parametrize("metric", ["euclidean", "regularized", "heat-kernel", "auto"])
