@@ -10,7 +10,7 @@
 #define CHOLESKY_ITEMS 8 /* work-items of the one group that factorises */
 #endif
 
-inline real dot_rows(__global const real *x, __global const real *y, const int count)
+INLINE real dot_rows(__global const real *x, __global const real *y, const int count)
 {
     realv sums = 0;
     int t = 0;

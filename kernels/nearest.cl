@@ -73,7 +73,7 @@
         top[group * RT + i] = largest;                                                  \
     }
 
-inline int any_lane(const intv flags)
+INLINE int any_lane(const intv flags)
 {
     const whole *lanes = (const whole *)&flags;
     whole found = 0;
@@ -90,7 +90,7 @@ inline int any_lane(const intv flags)
     }
 
 /* A penalty made smaller by its rounding error. */
-inline realv lowered(const realv bias)
+INLINE realv lowered(const realv bias)
 {
     return bias * (bias > 0 ? (realv)(ONE - 4 * ROUNDING) : (realv)(ONE + 4 * ROUNDING));
 }

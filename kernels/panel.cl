@@ -10,12 +10,7 @@
 #define FB 256 /* features made at once: FB * W reals of private memory */
 #endif
 
-/* Every block is summed on its own and then added: shorter chains of additions, smaller rounding error. */
-#define COLLECT(i)                                                                        \
-    STORE(__global, sums + i * W, fresh ? p##i : LOAD(__global, sums + i * W) + p##i);    \
-    STORE(__global, sums + i * W + V, fresh ? q##i : LOAD(__global, sums + i * W + V) + q##i);
-
-inline void panel_times_tiles(const realv *made, const int count, __global const real *right, const size_t tile_stride,
+INLINE void panel_times_tiles(const realv *made, const int count, __global const real *right, const size_t tile_stride,
                               const int tiles, __global real *total, const int fresh)
 {
     for (int tile = 0; tile < tiles; ++tile) {

@@ -1,7 +1,8 @@
 /* Types and macros that every kernel file starts from.
  *
  * real     float or double, by -D PRECISION=32 or 64 (required)
- * realv    V reals: one vector register;  intv: V signed integers as wide as a real, what comparing realv gives
+ * realv    V reals, by -D V=4, 8 or 16: one vector register;  intv: V signed integers as wide as a real, what comparing
+ *          realv gives
  * W        2 V, the lanes of a panel: a matrix stored as [panel][row][W] so that a row of a panel is two vectors
  * LOAD, STORE   vectors at addresses aligned to one real. vloadn is a call that PoCL does not inline
  * KERNEL   a kernel whose work-items are independent, in groups of -D WG (1 on a CPU)
@@ -21,8 +22,7 @@
 #endif
 typedef double real;
 typedef long whole;
-typedef double4 realv;
-typedef long4 intv;
+#define VECTORS(width) typedef double##width realv; typedef long##width intv;
 #define REAL_BYTES 8
 #elif PRECISION == 32
 #ifndef V
@@ -30,11 +30,20 @@ typedef long4 intv;
 #endif
 typedef float real;
 typedef int whole;
-typedef float8 realv;
-typedef int8 intv;
+#define VECTORS(width) typedef float##width realv; typedef int##width intv;
 #define REAL_BYTES 4
 #else
 #error "PRECISION must be 32 or 64"
+#endif
+
+#if V == 4
+VECTORS(4)
+#elif V == 8
+VECTORS(8)
+#elif V == 16
+VECTORS(16)
+#else
+#error "V must be 4, 8 or 16"
 #endif
 
 #define W (2 * V)
@@ -44,5 +53,7 @@ typedef realv loose __attribute__((aligned(REAL_BYTES)));
 #define STORE(space, address, value) (*(space loose *)(address) = (value))
 #define KERNEL __kernel __attribute__((reqd_work_group_size(WG, 1, 1)))
 #define KERNEL_OF(items) __kernel __attribute__((reqd_work_group_size(items, 1, 1)))
+/* A function that is part of every kernel that calls it: one of its own would be compiled for shorter vectors. */
+#define INLINE inline __attribute__((always_inline))
 #define ZERO ((real)0)
 #define ONE ((real)1)

@@ -39,7 +39,13 @@
             real line[W];                                           \
             STORE(__private, line, p##i);                           \
             STORE(__private, line + V, q##i);                       \
-            for (int j = 0; j < width; ++j) to[j] = add ? to[j] + line[j] : line[j]; \
+            int j = 0;                                              \
+            if (width >= V) {                                       \
+                if (add) p##i += LOAD(__global, to);                \
+                STORE(__global, to, p##i);                          \
+                j = V;                                              \
+            }                                                       \
+            for (; j < width; ++j) to[j] = add ? to[j] + line[j] : line[j]; \
         }                                                           \
     }
 
@@ -108,8 +114,8 @@ KERNEL void pack_tiles(const int n, const int depth, __global const real *restri
     out += (size_t)tile * RT * depth;
     int t = begin;
     if (last == RT - 1)
-        /* Whole vectors: what they write too much is overwritten by the next row, so the last row is left to the loop. */
-        for (; t + 1 < end; ++t) {
+        /* Whole vectors: what they write too much is overwritten by the next rows, so the last ones are left to the loop. */
+        for (; t + (V - 1) / RT < end - 1; ++t) {
             const real factor = weight ? weight[t] : ONE;
             STORE(__global, out + (size_t)t * RT, factor * LOAD(__global, b + (size_t)t * n));
 #if RT > V

@@ -28,11 +28,13 @@ KERNEL void partial_dots(const int count, __global const real *a, __global const
         }
     }
     sum0 += sum1;
-    const real *lanes = (const real *)&sum0;
-    real total = ZERO;
-    for (int lane = 0; lane < V; ++lane) total += lanes[lane];
-    for (; i < end; ++i) total += b ? a[i] * b[i] : a[i];
-    partial[get_global_id(0)] = total;
+    /* The lanes in pairs, and what is left on its own: shorter chains of additions, smaller rounding error. */
+    real *lanes = (real *)&sum0;
+    for (int left = V / 2; left > 0; left /= 2)
+        for (int lane = 0; lane < left; ++lane) lanes[lane] += lanes[lane + left];
+    real rest = ZERO;
+    for (; i < end; ++i) rest += b ? a[i] * b[i] : a[i];
+    partial[get_global_id(0)] = lanes[0] + rest;
 }
 
 KERNEL void finish_sum(const int parts, const real scale, const int accumulate, __global const real *restrict partial,

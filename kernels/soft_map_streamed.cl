@@ -29,7 +29,7 @@
     }
 
 /* q for `count` rows of psi from `row` on. */
-inline void make_q(realv *made, const int row, const int count, const int k, __global const real *psi,
+INLINE void make_q(realv *made, const int row, const int count, const int k, __global const real *psi,
                    __global const real *c)
 {
     for (int t = 0; t < count; t += RT) {

@@ -8,17 +8,25 @@
  * Included by the other files; numpy twin of a tile: clalign.engine.reference_arrays.ReferenceArrays.product.
  */
 #ifndef RT
-#define RT 6 /* rows of a tile: 4, 5 or 6 */
+#define RT 6 /* rows of a tile: 4 to 10 */
 #endif
 
-#if RT == 6
+#if RT == 10
+#define EACH(F) F(0) F(1) F(2) F(3) F(4) F(5) F(6) F(7) F(8) F(9)
+#elif RT == 9
+#define EACH(F) F(0) F(1) F(2) F(3) F(4) F(5) F(6) F(7) F(8)
+#elif RT == 8
+#define EACH(F) F(0) F(1) F(2) F(3) F(4) F(5) F(6) F(7)
+#elif RT == 7
+#define EACH(F) F(0) F(1) F(2) F(3) F(4) F(5) F(6)
+#elif RT == 6
 #define EACH(F) F(0) F(1) F(2) F(3) F(4) F(5)
 #elif RT == 5
 #define EACH(F) F(0) F(1) F(2) F(3) F(4)
 #elif RT == 4
 #define EACH(F) F(0) F(1) F(2) F(3)
 #else
-#error "RT must be 4, 5 or 6"
+#error "RT must be 4 to 10"
 #endif
 
 #define DECLARE(i) realv p##i = 0, q##i = 0;
@@ -65,3 +73,9 @@
             scalars += (step);                                             \
         }                                                                  \
     }
+
+/* Put row i of the accumulators into the tile `sums` (RT, W), or add it unless `fresh` is set. Every block is summed on its
+ * own and then added: shorter chains of additions, smaller rounding error. */
+#define COLLECT(i)                                                                        \
+    STORE(__global, sums + i * W, fresh ? p##i : LOAD(__global, sums + i * W) + p##i);    \
+    STORE(__global, sums + i * W + V, fresh ? q##i : LOAD(__global, sums + i * W + V) + q##i);

@@ -140,7 +140,7 @@ class Device:
         self._cl = cl
         handle = cl.get_platforms()[self.facts.platform].get_devices()[self.facts.device]
         self.dtype = np.dtype(np.float64 if precision == "double" else np.float32)
-        self.lanes = 2 * (4 if precision == "double" else 8)
+        self.lanes = 2 * vector_bytes(self.facts) // self.dtype.itemsize
         self.group = 1 if self.facts.kind == "cpu" else 64
         self.budget = min(self.facts.memory, memory) if memory else self.facts.memory
         self.allocated = 0
@@ -246,7 +246,7 @@ class Device:
 
     def _build(self, program: str, defines: Mapping[str, str | int]) -> dict[str, Any]:
         precision = 8 * self.dtype.itemsize
-        source = kernel_source(program, {"PRECISION": precision, "WG": self.group, **defines})
+        source = kernel_source(program, {"PRECISION": precision, "WG": self.group, "V": self.lanes // 2, **defines})
         start = time.perf_counter()
         try:
             with warnings.catch_warnings():
@@ -343,6 +343,11 @@ def require_precision(facts: DeviceFacts, precision: str) -> None:
             f"{facts.label} has no double precision; use single precision (engine.precision), or another device: "
             "clalign doctor lists them"
         )
+
+
+def vector_bytes(facts: DeviceFacts) -> int:
+    """Return the bytes of a vector in the kernels: of the registers of a CPU, within 32..64."""
+    return min(64, max(32, facts.vector)) if facts.kind == "cpu" else 32
 
 
 def check_budget(needed: int, shape: tuple[int, ...], left: int, facts: DeviceFacts) -> None:

@@ -32,6 +32,7 @@ class DeviceFacts:
     units : compute units.
     largest_buffer : size of the largest single buffer.
     double : whether it has double precision.
+    vector : bytes of a vector register, as far as it has any.
     """
 
     platform: int
@@ -46,6 +47,7 @@ class DeviceFacts:
     largest_buffer: int
     local_memory: int
     double: bool
+    vector: int
 
     @property
     def label(self) -> str:
@@ -107,6 +109,7 @@ def _facts(cl: Any, number: int, index: int, platform: Any, device: Any) -> Devi
         largest_buffer=int(device.max_mem_alloc_size),
         local_memory=int(device.local_mem_size),
         double=bool(device.double_fp_config),
+        vector=4 * int(device.native_vector_width_float),
     )
 
 

@@ -9,9 +9,6 @@ from .backend import Band
 from .device import DeviceArray
 from .kernels_arrays import ELEMENTS, KernelArrays, ceil_div, require_shapes
 
-TILE = 6
-"""Rows of the register tile of plain products."""
-
 DEPTH_BLOCK = 256
 """Depth of a block: a panel of it and the rows that meet it stay in the first cache."""
 
@@ -24,6 +21,12 @@ PACK_ABOVE = 8
 PACK_LENGTH = 352
 """Rows or columns above which a right side is packed: a smaller one is read well enough as it is."""
 
+GRAM_BLOCK = 128
+"""Depth of a block of a Gram matrix on a CPU."""
+
+GRAM_SPLIT = 512
+"""Least depth of a part of a Gram matrix on a CPU, where the units have work anyway."""
+
 DEPTH_SPLIT = 512
 """Least depth of a part when a product is cut along its depth."""
 
@@ -32,6 +35,16 @@ CHOLESKY_ITEMS = 8
 
 class KernelProducts(KernelArrays):
     """`backend.Products` on a device; see there for the formulas."""
+
+    @property
+    def _long_vectors(self) -> bool:
+        """Whether a vector has 64 bytes: then there are 32 registers of them."""
+        return self.device.lanes * self.dtype.itemsize == 128
+
+    @property
+    def _tile(self) -> int:
+        """Rows of the register tile of plain products."""
+        return 8 if self._long_vectors else 6
 
     def product(
         self,
@@ -101,7 +114,10 @@ class KernelProducts(KernelArrays):
         if m == n == 1 and w is None:
             self._dot(a, b, result)
             return result
-        tiles = ceil_div(m, TILE) * ceil_div(n, self.device.lanes)
+        if self.device.group == 1:
+            self._gram(a, b, w, result)
+            return result
+        tiles = ceil_div(m, self._tile) * ceil_div(n, self.device.lanes)
         wanted = 8 * self.device.facts.units * self.device.group
         splits = min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_SPLIT))
         if splits <= 1:
@@ -109,7 +125,7 @@ class KernelProducts(KernelArrays):
             return result
         partial = self.device.scratch("splits", splits * m * n)
         self._product(a, b, partial, m, n, rows, True, False, weight=w, splits=splits)
-        kernel = self.device.kernel("product", "sum_splits", RT=TILE, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
+        kernel = self.device.kernel("product", "sum_splits", RT=self._tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         self.device.launch(kernel, m * n, m * n, splits, 1.0, 0, partial, result)
         return result
 
@@ -153,25 +169,56 @@ class KernelProducts(KernelArrays):
         that is not transposed may have more `columns` than the depth.
         """
         lanes = self.device.lanes
-        group_count, panel_count = ceil_div(m, TILE), ceil_div(n, lanes)
-        if transpose_b or (not transpose_a and group_count > PACK_ABOVE and max(n, depth) > PACK_LENGTH and n > lanes):
+        group_count, panel_count = ceil_div(m, self._tile), ceil_div(n, lanes)
+        # Loads from rows that are no whole number of vectors cross cache lines.
+        awkward = max(n, depth) > PACK_LENGTH or n % (lanes // 2) != 0
+        if transpose_b or (not transpose_a and group_count > PACK_ABOVE and awkward and n > lanes):
             strides = (1, depth) if transpose_b else (n, 1)
             b, b_step, b_panel = self._pack_panels("right", b, n, depth, *strides), lanes, depth * lanes
         else:
             b_step, b_panel = n, lanes
         a_row, a_step = (1, m) if transpose_a else (columns or depth, 1)
-        a_group = TILE * a_row
+        a_group = self._tile * a_row
         if weight is not None or (transpose_a and depth > DEPTH_BLOCK):
-            a = self._pack_tiles("left", a, m, depth, TILE, weight)
-            a_group, a_row, a_step = depth * TILE, 1, TILE
+            a = self._pack_tiles("left", a, m, depth, self._tile, weight)
+            a_group, a_row, a_step = depth * self._tile, 1, self._tile
         groups, panels = self._macro_tile(group_count, panel_count, splits)
-        kernel = self.device.kernel("product", "product", RT=TILE, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
+        kernel = self.device.kernel("product", "product", RT=self._tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         size = (ceil_div(group_count, groups), ceil_div(panel_count, panels), splits)
         split_depth = ceil_div(depth, splits)
         sizes = (m, n, depth, groups, panels, split_depth)
         self.device.launch(
             kernel, size, *sizes, scale, int(accumulate), a, a_group, a_row, a_step, b, b_step, b_panel, ranges, result
         )
+
+    def _gram(self, a: DeviceArray, b: DeviceArray, w: DeviceArray | None, result: DeviceArray) -> None:
+        """Queue a Gram matrix on a CPU: every unit packs and sums parts of the depth of its own.
+
+        Computed is the transpose where that fills the register tiles better.
+        """
+        units, tile, lanes = self.device.facts.units, self._tile, self.device.lanes
+
+        def area(rows: int, columns: int) -> int:
+            return ceil_div(rows, tile) * tile * ceil_div(columns, lanes) * lanes
+
+        symmetric = a.memory is b.memory and a.shape == b.shape
+        turned = area(b.shape[1], a.shape[1]) < area(a.shape[1], b.shape[1])
+        if turned:
+            a, b = b, a
+        (depth, m), n = a.shape, b.shape[1]
+        group_count, panel_count = ceil_div(m, tile), ceil_div(n, lanes)
+        splits = min(max(units, min(4 * units, depth // GRAM_SPLIT)), ceil_div(depth, GRAM_BLOCK))
+        split_depth = ceil_div(depth, splits)
+        splits = ceil_div(depth, split_depth)
+        groups = ceil_div(group_count, min(group_count, ceil_div(units, splits)))
+        parts = ceil_div(group_count, groups)
+        packed = self.device.scratch("gram.packed", splits * parts * (panel_count * lanes + tile) * GRAM_BLOCK)
+        partial = self.device.scratch("gram.partial", splits * area(m, n))
+        kernel = self.device.kernel("gram", "gram", RT=tile, KB=GRAM_BLOCK)
+        sizes = (m, n, depth, parts, groups, split_depth)
+        self.device.launch(kernel, (parts, splits), *sizes, int(symmetric), a, b, w, packed, partial)
+        kernel = self.device.kernel("gram", "gather_gram", RT=tile, KB=GRAM_BLOCK)
+        self.device.launch(kernel, group_count, m, n, splits, int(symmetric), int(turned), partial, result)
 
     def _macro_tile(self, group_count: int, panel_count: int, splits: int) -> tuple[int, int]:
         """Row groups and panels of one work-item: up to 16 x 16 on a CPU, 1 x 1 on a GPU.
@@ -200,7 +247,7 @@ class KernelProducts(KernelArrays):
         """Queue packing of b (depth, n), given by its strides, into (panels, depth, lanes) scratch."""
         panels = ceil_div(n, self.device.lanes)
         packed = self.device.scratch(f"panels.{slot}", panels * depth * self.device.lanes)
-        kernel = self.device.kernel("product", "pack_panels", RT=TILE, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
+        kernel = self.device.kernel("product", "pack_panels", RT=self._tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         size = (panels, ceil_div(depth, DEPTH_PACKED))
         self.device.launch(kernel, size, n, depth, b, row_stride, column_stride, packed)
         return packed

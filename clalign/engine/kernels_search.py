@@ -9,7 +9,7 @@ from clalign.errors import InputError
 from .backend import RELATIVE_DISTANCE_FLOOR, DistortionKind
 from .device import DeviceArray
 from .kernels_arrays import PART, ceil_div, require_shapes
-from .kernels_products import TILE, KernelProducts
+from .kernels_products import KernelProducts
 
 BOUND = 32
 """Depth after which a tile of the nearest points is checked: can one of its scores still be the best of its row?"""
@@ -45,10 +45,10 @@ class KernelSearches(KernelProducts):
         score = self._result("nearest", (m,), out and out[1])
         lanes = self.device.lanes
         padded_size = ceil_div(p, lanes) * lanes
-        groups = self._nearest_groups(ceil_div(m, TILE))
+        groups = self._nearest_groups(ceil_div(m, self._tile))
         checks = 0 if absolute or depth < WORTH_A_CHECK * BOUND else ceil_div(depth, BOUND) - 1
         defines: dict[str, str | int] = {
-            "RT": TILE,
+            "RT": self._tile,
             "NEAREST_GROUPS": groups,
             "ABSOLUTE": int(absolute),
             "BOUND": BOUND,
@@ -59,7 +59,7 @@ class KernelSearches(KernelProducts):
         packed = self._pack_panels("right", points, p, depth, 1, depth)
         query_rest = point_rest = guessed = None
         if checks:
-            rows = ceil_div(m, TILE) * TILE
+            rows = ceil_div(m, self._tile) * self._tile
             query_rest = self.device.scratch("rests.queries", rows * checks)
             launch(kernel("nearest", "query_rests", **defines), rows, m, depth, checks, queries, query_rest)
             point_rest = self.device.scratch("rests.points", padded_size * checks)
@@ -69,7 +69,7 @@ class KernelSearches(KernelProducts):
                 guessed = self.device.scratch("guessed", rows)
                 scores = kernel("nearest", "guessed_scores", **defines)
                 launch(scores, rows, m, p, depth, queries, packed, padded, guess, guessed)
-        items = ceil_div(m, groups * TILE)
+        items = ceil_div(m, groups * self._tile)
         sides = (queries, packed, padded, query_rest, point_rest, guessed)
         launch(kernel("nearest", "nearest", **defines), items, m, p, depth, checks, *sides, index, score)
         return index, score

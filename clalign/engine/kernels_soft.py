@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from .device import DeviceArray
 from .kernels_arrays import ELEMENTS, ceil_div, require_shapes
-from .kernels_products import TILE, KernelProducts
+from .kernels_products import KernelProducts
 from .reference_soft import pair_count, pair_factor
 
 FEATURES = 256
@@ -27,7 +27,7 @@ class KernelSoftMaps(KernelProducts):
         (n, k), r = psi.shape, u.shape[1]
         require_shapes("packed_moments", w=(w.shape, (n,)), u=(u.shape[:1], (n,)))
         result = self._result("packed_moments", (pair_count(k), r), out)
-        tile = tile_rows(r)
+        tile = tile_rows(r, self._long_vectors)
         right = self._pack_tiles("right", u, r, n, tile, w)
         key = ("runs", k, self.device.lanes)
         if key not in self._constants:
@@ -97,7 +97,7 @@ class KernelSoftMaps(KernelProducts):
         panels = ceil_div(n, self.device.lanes)
         groups = self._groups(panels)
         sums = self._sums(panels, k)
-        kernel = self.device.kernel("soft_map_gradient", "soft_map_gradient", RT=TILE, PB=PAIRS)
+        kernel = self.device.kernel("soft_map_gradient", "soft_map_gradient", RT=self._tile, PB=PAIRS)
         arguments = (n, k, r, groups, ct, cn, dzt, packed, removed, inverse, sums, result)
         self.device.launch(kernel, ceil_div(panels, groups), *arguments)
         return result
@@ -116,7 +116,7 @@ class KernelSoftMaps(KernelProducts):
         require_shapes("soft_map_streamed", psi=(psi.shape, (n_y, k)), w=(w.shape, (n_y,)))
         z = self._result("soft_map_streamed", (n, r), out and out[0])
         s = self._result("soft_map_streamed", (n,), out and out[1])
-        tile = tile_rows(r)
+        tile = tile_rows(r, self._long_vectors)
         right = self._pack_tiles("right", u, r, n_y, tile)
         ct = self._pack_panels("c", c, n, k, 1, k)
         panels = ceil_div(n, self.device.lanes)
@@ -153,7 +153,9 @@ class KernelSoftMaps(KernelProducts):
         panels = ceil_div(n, self.device.lanes)
         groups = self._groups(panels)
         sums = self._sums(panels, k)
-        kernel = self.device.kernel("soft_map_streamed", "soft_map_streamed_gradient", RT=TILE, FB=self._features())
+        kernel = self.device.kernel(
+            "soft_map_streamed", "soft_map_streamed_gradient", RT=self._tile, FB=self._features()
+        )
         arguments = (n, n_y, k, r, groups, ct, psi, w, u, dzt, removed, inverse, sums, result)
         self.device.launch(kernel, ceil_div(panels, groups), *arguments)
         return result
@@ -168,7 +170,7 @@ class KernelSoftMaps(KernelProducts):
     ) -> None:
         """Queue z = diag(factor) vech(c cᵀ) · diag(pair_weight) packed."""
         (n, k), r = c.shape, packed.shape[1]
-        tile = tile_rows(r)
+        tile = tile_rows(r, self._long_vectors)
         right = self._pack_tiles("right", packed, r, pair_count(k), tile, pair_weight)
         ct = self._pack_panels("c", c, n, k, 1, k)
         panels = ceil_div(n, self.device.lanes)
@@ -214,9 +216,13 @@ class KernelSoftMaps(KernelProducts):
         return min(4, max(1, panels // (4 * self.device.facts.units)))
 
 
-def tile_rows(r: int) -> int:
-    """Rows of the register tile that waste least on r columns; 6 where 5 is no better."""
-    return 5 if ceil_div(r, 5) * 5 < ceil_div(r, 6) * 6 else 6
+def tile_rows(r: int, long_vectors: bool = False) -> int:
+    """Rows of the register tile that waste least on r columns; the most where others are no better.
+
+    AVX2 has registers for 6, AVX-512 for more.
+    """
+    rows = (10, 9, 8, 7) if long_vectors else (6, 5)
+    return min(rows, key=lambda tile: ceil_div(r, tile) * tile)
 
 
 def pair_runs(k: int, lanes: int) -> NDArray[np.int32]:

@@ -14,6 +14,7 @@ from clalign.errors import DeviceError
 PRELUDE = ("prelude.cl",)
 PARTS: Mapping[str, tuple[str, ...]] = {
     "product": ("tile.cl", "product.cl"),
+    "gram": ("tile.cl", "gram.cl"),
     "nearest": ("tile.cl", "nearest.cl"),
     "soft_map": ("tile.cl", "panel.cl", "soft_map.cl"),
     "moments": ("tile.cl", "panel.cl", "moments.cl"),

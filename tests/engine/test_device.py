@@ -18,7 +18,9 @@ from clalign.engine.reference import Reference
 from clalign.errors import DeviceError, MemoryBudgetError
 from clalign.options import EngineOptions
 
-CPU = DeviceFacts(0, 0, "pthread-Some CPU", "Portable", "OpenCL 3.0", "3.0", "cpu", 2, 1 << 32, 1 << 30, 1 << 15, True)
+CPU = DeviceFacts(
+    0, 0, "pthread-Some CPU", "Portable", "OpenCL 3.0", "3.0", "cpu", 2, 1 << 32, 1 << 30, 1 << 15, True, 32
+)
 GPU = dataclasses.replace(CPU, platform=1, device=0, name="Radiant 9", platform_name="Vendor", kind="gpu", double=False)
 SECOND = dataclasses.replace(GPU, device=1, name="Radiant 10")
 

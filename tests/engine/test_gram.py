@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 
-@pytest.mark.parametrize(("n", "p", "q"), [(1, 1, 1), (97, 13, 257), (1025, 50, 50), (6890, 9, 20), (2000, 120, 97)])
+@pytest.mark.parametrize(
+    ("n", "p", "q"), [(1, 1, 1), (97, 13, 257), (1025, 50, 50), (6890, 9, 20), (2000, 120, 97), (1300, 352, 120)]
+)
 @pytest.mark.parametrize("weighted", [True, False])
 def test_matches_twin(check, rng, n, p, q, weighted):
     weights = rng.random(n) if weighted else None
@@ -18,3 +20,28 @@ def test_orthonormal_columns_give_the_identity(kernels, rng):
     basis = np.linalg.qr(rng.normal(size=(3000, 40)))[0] / np.sqrt(w)[:, None]
     a = kernels.array(basis)
     np.testing.assert_allclose(kernels.numpy(kernels.weighted_gram(a, a, kernels.array(w))), np.eye(40), atol=2e-5)
+
+
+@pytest.mark.parametrize(("n", "k"), [(1, 3), (97, 13), (1025, 50), (2001, 121)])
+@pytest.mark.parametrize("weighted", [True, False])
+def test_with_itself_is_the_same_and_symmetric(kernels, rng, n, k, weighted):
+    """The lower triangle is mirrored, not computed, where both sides are one array."""
+    a, weights = kernels.array(rng.normal(size=(n, k))), kernels.array(rng.random(n)) if weighted else None
+    mirrored = kernels.numpy(kernels.weighted_gram(a, a, weights))
+    whole = kernels.numpy(kernels.weighted_gram(a, kernels.array(kernels.numpy(a)), weights))
+    np.testing.assert_array_equal(mirrored, mirrored.T)
+    np.testing.assert_allclose(mirrored, whole, rtol=0, atol=5e-6 * np.abs(whole).max())
+
+
+def test_a_leading_part_of_the_same_memory_is_another_matrix(kernels, rng):
+    a = kernels.array(rng.normal(size=(300, 20)))
+    part = a.reshape(600, 10).leading((300, 10))
+    expected = kernels.numpy(a).T @ kernels.numpy(part)
+    np.testing.assert_allclose(kernels.numpy(kernels.weighted_gram(a, part)), expected, atol=2e-3)
+
+
+def test_repeats_bit_by_bit(kernels, rng):
+    a, b, w = (kernels.array(rng.normal(size=shape)) for shape in ((5000, 61), (5000, 35), (5000,)))
+    first = kernels.numpy(kernels.weighted_gram(a, b, w))
+    for _ in range(5):
+        np.testing.assert_array_equal(kernels.numpy(kernels.weighted_gram(a, b, w)), first)

@@ -49,3 +49,4 @@ def test_runs_cover_every_pair(k):
 
 def test_tiles_waste_little():
     assert [tile_rows(r) for r in (50, 100, 48, 5, 6)] == [5, 5, 6, 5, 6]
+    assert [tile_rows(r, long_vectors=True) for r in (50, 100, 48, 70, 7)] == [10, 10, 8, 10, 7]

@@ -1,4 +1,7 @@
-"""The launch shape of a GPU (groups of 64 work-items, one tile each) on whatever device the tests run on."""
+"""What other devices choose, on whatever device the tests run on.
+
+The launch shape of a GPU (groups of 64 work-items, one tile each), and vectors of 32 and 64 bytes.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,10 @@ from clalign.engine.kernels import Kernels
 from clalign.engine.reference import Reference
 
 
-@pytest.fixture(scope="module")
-def wide() -> Kernels:
+@pytest.fixture(scope="module", params=[(64, 16), (1, 16), (1, 32)], ids=["groups", "32 bytes", "64 bytes"])
+def wide(request: pytest.FixtureRequest) -> Kernels:
     kernels = Kernels(Device())
-    kernels.device.group = 64
+    kernels.device.group, kernels.device.lanes = request.param
     return kernels
 
 
