@@ -22,6 +22,7 @@ from clalign.geometry.workers import processor_count
 from clalign.options import Options
 
 from .growth_cost import growth_operations, pieces_are_grown
+from .metric import EXPONENTS
 
 _DOUBLE, _INDEX = 8, 4
 
@@ -267,11 +268,16 @@ def _seconds(size: Sizes, options: Options, cores: int) -> dict[str, float]:
     alignment = evaluations * evaluation / RATES["losses"] + nearest / RATES["nearest"]
     grown, dense = growth_operations(size, options)
     search = 0.0 if options.search.method == "random" else size.samples / RATES["search"]
+    metric = 0.0
+    if options.spectrum.metric == "auto":
+        tried = len(EXPONENTS) - 1
+        metric = tried * sum(_eigensolver_seconds(each, size.descriptors) for each in (size.source, size.target))
     return {
         "start": FIXED_SECONDS["start"],
         "preparation": max(rows / RATES["distances"], eigen / min(cores, 2)),
         "search": search / cores,
         "up-sampling": (grown / RATES["nearest"] + dense / RATES["dense"]) / cores,
+        "metric": metric / min(cores, 2),
         "alignment": alignment / cores,
         RESULT: FIXED_SECONDS["picture"],
     }

@@ -239,6 +239,11 @@ def grown_maps(
     return maps
 
 
+def steps_before_alignment(options: Options) -> int:
+    """Return how many two-way steps come before R; maps from pieces have had enough of them."""
+    return 0 if options.readout.refine == "pieces" else options.readout.steps
+
+
 def bind(
     source: Shape,
     target: Shape,
@@ -265,11 +270,10 @@ def _closed_form(
     backend: Backend, source: Shape, target: Shape, maps: PointMaps, band: Band, options: Options
 ) -> StartingRotation:
     """Return R from the maps after closed-form steps among the lower scale-invariant eigenfunctions."""
-    if options.readout.refine != "pieces":
+    steps = steps_before_alignment(options)
+    if steps:
         coarse = max(min(COARSE_DESCRIPTORS, band.size), band.size // 2)
-        maps = coherent_steps(
-            backend, source.descriptors.head(coarse), target.descriptors.head(coarse), maps, options.readout.steps
-        )
+        maps = coherent_steps(backend, source.descriptors.head(coarse), target.descriptors.head(coarse), maps, steps)
     one_sided = options.alignment.sides == "one"
     return closed_form_rotation(backend, source.descriptors, target.descriptors, maps, band, one_sided)
 

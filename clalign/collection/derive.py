@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import clalign
 from clalign.alignment.funnel import funnel_band
-from clalign.alignment.pipeline import Clock, grown_maps
+from clalign.alignment.pipeline import Clock, grown_maps, steps_before_alignment
 from clalign.alignment.refine import closed_form_rotation, coherent_steps
 from clalign.correspondence import Correspondence
 from clalign.engine.backend import Backend
@@ -37,8 +37,8 @@ def derived_correspondence(
     descriptors = source.descriptors.head(count), target.descriptors.head(count)
     with clock.stage("read-out"):
         # As many steps as a match makes before and after its optimisation.
-        before = 0 if options.readout.refine == "pieces" else options.readout.steps
-        maps = coherent_steps(backend, *descriptors, maps, before + options.readout.steps)
+        steps = steps_before_alignment(options) + options.readout.steps
+        maps = coherent_steps(backend, *descriptors, maps, steps)
     with clock.stage("closed form"):
         band = funnel_band(count, options.alignment)
         start = closed_form_rotation(backend, *descriptors, maps, band, options.alignment.sides == "one")

@@ -92,6 +92,12 @@ def test_growing_takes_its_time_for_every_map(alternatives: int) -> None:
     assert up_sampling({"readout.refine": "none"}) == up_sampling({"search.method": "random"}) == 0
 
 
+def test_choosing_the_metric_takes_more_spectra() -> None:
+    fixed, chosen = (forecast(5000, 6000, Options().replace({"spectrum.metric": name})) for name in ("power", "auto"))
+    assert fixed.stages["metric"] == 0 < chosen.stages["metric"]
+    assert {**chosen.stages, "metric": 0.0} == fixed.stages
+
+
 def test_growing_holds_all_functions_on_the_device() -> None:
     size = sizes(5000, 6000, Options())
     held = forecast(5000, 6000, Options()).device["up-sampling"]
