@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.errors import ClalignError, OptionError
-from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE, processor_count
+from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE, environment, processor_count
 
 if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
@@ -74,11 +74,11 @@ def _local_cluster(workers: int) -> Iterator[LocalCluster]:
     import dask
     import distributed
 
-    settings = {
-        "distributed.scheduler.allowed-failures": 3,
-        "distributed.nanny.pre-spawn-environ": shared_out(workers),
-    }
+    shares = shared_out(workers)
+    settings = {"distributed.scheduler.allowed-failures": 3, "distributed.nanny.pre-spawn-environ": shares}
     with (
+        # Dask leaves its variables behind in this process, and what is set here has precedence over them.
+        environment(shares),
         dask.config.set(settings),
         distributed.LocalCluster(
             n_workers=workers,

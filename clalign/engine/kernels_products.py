@@ -24,6 +24,9 @@ PACK_LENGTH = 352
 GRAM_BLOCK = 128
 """Depth of a block of a Gram matrix on a CPU."""
 
+GRAM_SPLITS = 8
+"""Most parts that the depth of a Gram matrix is cut into on a CPU."""
+
 GRAM_SPLIT = 512
 """Least depth of a part of a Gram matrix on a CPU, where the units have work anyway."""
 
@@ -207,7 +210,8 @@ class KernelProducts(KernelArrays):
             a, b = b, a
         (depth, m), n = a.shape, b.shape[1]
         group_count, panel_count = ceil_div(m, tile), ceil_div(n, lanes)
-        splits = min(max(units, min(4 * units, depth // GRAM_SPLIT)), ceil_div(depth, GRAM_BLOCK))
+        # Not by the number of units: a sum must be the same on one core and on many.
+        splits = min(max(2, min(GRAM_SPLITS, depth // GRAM_SPLIT)), ceil_div(depth, GRAM_BLOCK))
         split_depth = ceil_div(depth, splits)
         splits = ceil_div(depth, split_depth)
         groups = ceil_div(group_count, min(group_count, ceil_div(units, splits)))

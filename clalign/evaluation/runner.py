@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import ClalignError, OptionError
-from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE
+from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE, environment
 
 from .distances import DistanceMethod
 from .errors import evaluate
@@ -171,7 +171,7 @@ def _in_this_process(tasks: Sequence[Task]) -> Generator[tuple[Record, Curves]]:
 def _in_processes(tasks: Sequence[Task], jobs: int) -> Generator[tuple[Record, Curves]]:
     """Yield results as they come; a process that dies costs the pairs that were being worked on, not the run."""
     waiting = list(reversed(tasks))
-    with _environment(SINGLE_THREAD):
+    with environment(SINGLE_THREAD):
         while waiting:
             with _pool(min(jobs, len(waiting))) as pool:
                 running: dict[Future[tuple[Record, Curves]], Task] = {}
@@ -276,18 +276,3 @@ def _end_with_parent(own: Path) -> None:
         with contextlib.suppress(OSError):
             own.parent.rmdir()
         os._exit(1)
-
-
-@contextlib.contextmanager
-def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Set variables for the processes started meanwhile; the libraries read them when they load."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

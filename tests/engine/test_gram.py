@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -45,3 +49,36 @@ def test_repeats_bit_by_bit(kernels, rng):
     first = kernels.numpy(kernels.weighted_gram(a, b, w))
     for _ in range(5):
         np.testing.assert_array_equal(kernels.numpy(kernels.weighted_gram(a, b, w)), first)
+
+
+PROGRAM = """
+import hashlib
+import numpy as np
+from clalign.engine import open_backend
+from clalign.options import EngineOptions
+backend = open_backend(EngineOptions(device="cpu"))
+rng = np.random.default_rng(0)
+digest = hashlib.sha256()
+for n, p, q in ((700, 33, 50), (3000, 40, 17)):
+    a, b = (backend.array(rng.standard_normal((n, k)).astype(np.float32)) for k in (p, q))
+    w = backend.array(rng.random(n).astype(np.float32))
+    for other in (a, b):
+        digest.update(backend.numpy(backend.weighted_gram(a, other, w)).tobytes())
+    digest.update(backend.numpy(backend.packed_moments(a, w, b)).tobytes())
+print(digest.hexdigest(), backend.device.facts.units)
+"""
+
+
+def test_sums_do_not_depend_on_the_number_of_units():
+    """Workers of a collection share the processors of a machine in different ways, and must find the same maps."""
+    found = {}
+    for units in ("1", "2"):
+        environment = {**os.environ, "POCL_CPU_MAX_CU_COUNT": units, "POCL_MAX_PTHREAD_COUNT": units}
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True, timeout=300
+        )
+        digest, counted = done.stdout.split()
+        found[counted] = digest
+    if len(found) < 2:
+        pytest.skip("the driver here does not take the number of units from the environment")
+    assert len(set(found.values())) == 1
