@@ -15,8 +15,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,11 +56,71 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Factors:
-    """S − σI factorised: the shift, the number of eigenvalues below it, and the solver."""
+    """S − σI factorised: the shift, the number of eigenvalues below it, and the solver.
+
+    `held` has the factors as its only entry. scipy frees their memory only in the thread that made them, so they must
+    be dropped there, by `drop`.
+    """
 
     shift: float
     below: int
-    solve: Callable[[Array], Array]
+    held: list[Any]
+
+    def solve(self, sides: Array) -> Array:
+        """Return the solutions for right-hand sides (n, k)."""
+        return np.asarray(self.held[0].solve(sides))
+
+    def drop(self) -> None:
+        """Free the factors."""
+        self.held.clear()
+
+
+class _Lane:
+    """A thread, and the factors that it has made and still holds."""
+
+    def __init__(self, thread: ThreadPoolExecutor) -> None:
+        self._thread = thread
+        self._made: list[_Factors] = []
+
+    def factorise(self, matrix: sparse.csc_matrix, shift: float) -> Future[_Factors]:
+        """Factorise S − σI in this thread."""
+
+        def make() -> _Factors:
+            self._made.append(_factors(matrix, shift))
+            return self._made[-1]
+
+        return self._thread.submit(make)
+
+    def call(self, function: Callable[..., _Slice], *arguments: Any) -> Future[_Slice]:
+        """Call a function in this thread."""
+        return self._thread.submit(function, *arguments)
+
+    def keep(self, kept: Sequence[_Factors]) -> None:
+        """Drop all factors but those, in this thread."""
+
+        def drop() -> None:
+            for factor in self._made:
+                if not any(factor is other for other in kept):
+                    factor.drop()
+            self._made = [factor for factor in self._made if factor.held]
+
+        self._thread.submit(drop).result()
+
+
+@contextlib.contextmanager
+def _lanes(count: int) -> Iterator[list[_Lane]]:
+    """Yield threads whose factors are freed at the end."""
+    with contextlib.ExitStack() as stack:
+        lanes = [_Lane(stack.enter_context(thread_pool(1))) for _ in range(count)]
+        failure = None
+        try:
+            yield lanes
+        except Exception as error:
+            failure = error
+        for lane in lanes:
+            lane.keep(())
+        if failure is not None:
+            raise failure
 
 
 @dataclass(frozen=True)
@@ -102,13 +162,13 @@ def lowest_pairs(matrix: sparse.csc_matrix, count: int, unit: float, threads: in
     # Sorted now: scipy would otherwise sort it in place, when first asked to, in several threads at once.
     matrix.sum_duplicates()
     matrix.sort_indices()
-    with thread_pool(max(threads, 1)) as pool:
-        factors = _plan(matrix, count, unit, pool)
+    with _lanes(max(min(threads, -(-count // SLICE)), 1)) as lanes:
+        factors = _plan(matrix, count, unit, lanes)
         borders = [0] + [(left.below + right.below) // 2 for left, right in itertools.pairwise(factors)]
         ends = [min(border + OVERLAP, count) for border in borders[1:]] + [count]
         jobs = [
-            pool.submit(_slice, matrix, factor, max(border - OVERLAP, 0), end, unit)
-            for factor, border, end in zip(factors, borders, ends, strict=True)
+            lanes[number % len(lanes)].call(_slice, matrix, factor, max(border - OVERLAP, 0), end, unit)
+            for number, (factor, border, end) in enumerate(zip(factors, borders, ends, strict=True))
         ]
         values, rows = _joined([job.result() for job in jobs], unit)
     _check_count(matrix, values)
@@ -125,16 +185,18 @@ def factorise(matrix: sparse.csc_matrix, shift: float) -> Any:
 
 def count_below(matrix: sparse.csc_matrix, value: float) -> int:
     """Return how many eigenvalues of a symmetric matrix lie below a value, which must not be one of them."""
-    return _factors(matrix, value).below
+    factors = _factors(matrix, value)
+    factors.drop()
+    return factors.below
 
 
 def _factors(matrix: sparse.csc_matrix, shift: float) -> _Factors:
     factors = factorise(matrix, shift)
-    return _Factors(shift, int(np.count_nonzero(factors.U.diagonal() < 0)), factors.solve)
+    return _Factors(shift, int(np.count_nonzero(factors.U.diagonal() < 0)), [factors])
 
 
-def _plan(matrix: sparse.csc_matrix, count: int, unit: float, pool: ThreadPoolExecutor) -> list[_Factors]:
-    """Place a shift near the middle of each slice.
+def _plan(matrix: sparse.csc_matrix, count: int, unit: float, lanes: Sequence[_Lane]) -> list[_Factors]:
+    """Place a shift near the middle of each slice; slice i is factorised in lane i modulo the number of lanes.
 
     The number of eigenvalues below a value is taken as value / unit where nothing is known, and interpolated between
     the counts that are known.
@@ -152,13 +214,19 @@ def _plan(matrix: sparse.csc_matrix, count: int, unit: float, pool: ThreadPoolEx
         guesses = [
             float(np.interp(targets[index], counts, shifts)) + more for index, more in zip(missing, beyond, strict=True)
         ]
-        for index, factor in zip(missing, pool.map(lambda shift: _factors(matrix, shift), guesses), strict=True):
+        made = [
+            lanes[index % len(lanes)].factorise(matrix, shift) for index, shift in zip(missing, guesses, strict=True)
+        ]
+        for index, job in zip(missing, made, strict=True):
+            factor = job.result()
             if abs(factor.below - targets[index]) <= tolerance * width:
                 placed[index] = factor
             shifts.append(factor.shift)
             counts.append(float(factor.below))
         shifts.sort()
         counts.sort()
+        for lane in lanes:
+            lane.keep(list(placed.values()))
     if len(placed) < slices:
         raise ConvergenceError(f"only {len(placed)} of {slices} shifts into the spectrum could be placed")
     return [placed[index] for index in sorted(placed)]
