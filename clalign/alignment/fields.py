@@ -66,10 +66,8 @@ def oriented_fields(
     fields, coefficients = [], []
     for shape, functions in zip((source, target), own, strict=True):
         products = orientation_products(shape.mesh.faces, shape.mass, functions, first, second)
-        basis = shape.basis
-        coefficients.append(basis.functions.T @ (basis.mass[:, None] * products))
-        decay = np.exp(-ORIENTED_TIME * basis.eigenvalues)
-        fields.append(basis.functions @ (decay[:, None] * coefficients[-1]))
+        coefficients.append(shape.basis.coefficients(products))
+        fields.append(shape.basis.diffused(coefficients[-1], ORIENTED_TIME))
     agreement = np.sum((functional @ coefficients[0][:size]) * coefficients[1][:size])
     spread = np.sqrt(0.5 * sum(shape.mass @ each**2 for shape, each in zip((source, target), fields, strict=True)))
     scales = 1.0 / np.maximum(spread, 1e-12), (-1.0 if agreement < 0 else 1.0) / np.maximum(spread, 1e-12)

@@ -115,7 +115,8 @@ def best_grown(
 
     Where the low functions leave a part open, different growths turn it differently; the score tells them apart.
     """
-    grown = [up_sampled(backend, source, target, functional, size, growth) for growth in GROWTHS]
+    orders = VertexOrder.in_space(source.mesh.vertices), VertexOrder.in_space(target.mesh.vertices)
+    grown = [up_sampled(backend, source, target, functional, size, growth, orders) for growth in GROWTHS]
     pair = SamplePair(sampled(source), sampled(target), backend)
     level = pair.fit(Level(len(grown[0]), UP_SAMPLING_QUERIES, UP_SAMPLING_QUERIES))
     cut = np.array([each[: level.size, : level.size] for each in grown], dtype=np.float32)

@@ -112,15 +112,17 @@ def _lanes(count: int) -> Iterator[list[_Lane]]:
     """Yield threads whose factors are freed at the end."""
     with contextlib.ExitStack() as stack:
         lanes = [_Lane(stack.enter_context(thread_pool(1))) for _ in range(count)]
-        failure = None
+
+        def free() -> None:
+            for lane in lanes:
+                lane.keep(())
+
         try:
             yield lanes
-        except Exception as error:
-            failure = error
-        for lane in lanes:
-            lane.keep(())
-        if failure is not None:
-            raise failure
+        except Exception:
+            free()
+            raise
+        free()
 
 
 @dataclass(frozen=True)

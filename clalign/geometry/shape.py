@@ -277,5 +277,4 @@ def smoothed_curvatures(
     """
     both = np.stack([mean, gaussian], axis=1)
     limit = np.quantile(np.abs(both), CURVATURE_QUANTILE, axis=0)
-    coefficients = basis.functions.T @ (basis.mass[:, None] * np.clip(both, -limit, limit))
-    return basis.functions @ (np.exp(-CURVATURE_TIME * basis.eigenvalues)[:, None] * coefficients)
+    return basis.diffused(basis.coefficients(np.clip(both, -limit, limit)), CURVATURE_TIME)

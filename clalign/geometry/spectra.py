@@ -45,6 +45,14 @@ class Spectrum:
         """Number of eigenpairs."""
         return len(self.eigenvalues)
 
+    def coefficients(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (k, f) inner products of the functions with values at the vertices (n, f)."""
+        return self.functions.T @ (self.mass[:, None] * values)
+
+    def diffused(self, coefficients: NDArray[np.float64], time: float) -> NDArray[np.float64]:
+        """Return what the heat equation makes of coefficients (k, f) after a time, at the vertices (n, f)."""
+        return self.functions @ (np.exp(-time * self.eigenvalues)[:, None] * coefficients)
+
     def head(self, count: int, signs: NDArray[np.float64] | None = None) -> Spectrum:
         """Return the first `count` eigenpairs, the functions multiplied by `signs` (count,) if given."""
         functions = self.functions[:, :count]
