@@ -18,6 +18,7 @@ from clalign.alignment.maps import PointMaps
 from clalign.alignment.pipeline import AlignedPair, Clock, align_pair
 from clalign.alignment.subvertex import SurfacePoints
 from clalign.correspondence import INTERRUPTED, Alternative, Correspondence
+from clalign.ctrl_c import plain_interrupts
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
 from clalign.errors import ClalignWarning, ConfidenceWarning
@@ -101,6 +102,7 @@ def match_shapes(
         return _correspondence(source, target, pair, backend, options)
 
 
+@plain_interrupts()
 def _correspondence(
     source: Shape, target: Shape, pair: AlignedPair, backend: Backend, options: Options
 ) -> Correspondence:

@@ -11,6 +11,8 @@ import nlopt
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.ctrl_c import is_interrupt
+
 LOG = logging.getLogger(__name__)
 
 Status = Literal["converged", "noise floor", "budget", "interrupted", "failed"]
@@ -119,11 +121,13 @@ def minimise(
     optimiser.set_ftol_rel(relative_tolerance)
     try:
         optimiser.optimize(recorder.best)
-    except KeyboardInterrupt as error:
+    except BaseException as error:
+        if not is_interrupt(error):
+            raise
         recorder.error = recorder.error or error
     finally:
         recorder.release()
-    if recorder.error is not None and not isinstance(recorder.error, KeyboardInterrupt):
+    if recorder.error is not None and not is_interrupt(recorder.error):
         raise recorder.error
     status = "interrupted" if recorder.error else _status(optimiser.last_optimize_result(), recorder)
     LOG.debug("L-BFGS: %s after %d evaluations at %.6g", status, recorder.evaluations, recorder.value)

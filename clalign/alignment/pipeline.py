@@ -29,6 +29,7 @@ from clalign.alignment.rounds import AlignedRotation, optimise_rotation
 from clalign.alignment.search import SearchResult, find_isometry
 from clalign.alignment.subvertex import SurfacePoints, closest_points
 from clalign.alignment.views import aligned_side, sampled_factors
+from clalign.ctrl_c import plain_interrupts
 from clalign.engine.backend import Backend, Band
 from clalign.geometry.shape import Shape, equally_smoothed
 from clalign.geometry.spectra import Spectrum
@@ -153,6 +154,7 @@ def _cut_short(options: Options) -> Options:
     return options.replace({**changes, "search.alternatives": 0})
 
 
+@plain_interrupts()
 def _aligned(
     source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock, reached: Reached
 ) -> AlignedPair:

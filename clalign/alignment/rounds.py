@@ -14,6 +14,7 @@ from clalign.alignment.maps import PointMaps, argmax_map, both_directions, match
 from clalign.alignment.nearness import in_order
 from clalign.alignment.optimise import Status, minimise
 from clalign.alignment.problem import AlignmentProblem, Evaluation, Round
+from clalign.ctrl_c import plain_interrupts
 from clalign.options import Readout
 
 LOG = logging.getLogger(__name__)
@@ -130,6 +131,7 @@ def optimise_rotation(
         if number + 1 < options.rounds:
             frozen = replace(frozen, weight=frozen.weight * options.decay)
 
+    @plain_interrupts()
     def finished() -> AlignedRotation:
         last = problem.value_and_gradient(problem.pack(rotation), frozen)
         maps = read_out(problem, rotation, readout, frozen.target_of_source, guess)
@@ -153,6 +155,7 @@ class _Ended:
     status: Status
 
 
+@plain_interrupts()
 def _round(
     problem: AlignmentProblem,
     rotation: NDArray[np.float64],

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from clalign.cli.interrupts import Interrupts
 from clalign.cli.terminal import Terminal, table
+from clalign.ctrl_c import plain_interrupts
 
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
@@ -137,11 +138,12 @@ def run_job(
         result = _matched(source, target, options, args, terminal, interrupts)
     evaluation = None
     try:
-        if truths is not None:
-            from clalign.evaluation.errors import evaluate
+        with plain_interrupts():
+            if truths is not None:
+                from clalign.evaluation.errors import evaluate
 
-            evaluation = evaluate(result, truths.truth, mirrored=truths.mirrored, seed=options.seed)
-        result.save(args.out, force=force, extra_files=_extra_files(result, evaluation, args, terminal))
+                evaluation = evaluate(result, truths.truth, mirrored=truths.mirrored, seed=options.seed)
+            result.save(args.out, force=force, extra_files=_extra_files(result, evaluation, args, terminal))
     except KeyboardInterrupt:
         # What is in the folder by now, if anything, is this result.
         result.save(args.out, force=True)

@@ -34,6 +34,7 @@ from clalign.cli import (
     show,
     transfer,
 )
+from clalign.ctrl_c import plain_interrupts
 from clalign.errors import ClalignError, DeviceError, InputError
 
 EXIT_FAILED = 1
@@ -124,7 +125,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = os.environ.get("CLALIGN_DEBUG", "") not in ("", "0")
     _set_up_messages(debug)
     try:
-        status: int = args.run(args)
+        with plain_interrupts():
+            status: int = args.run(args)
         sys.stdout.flush()
         return status
     except BrokenPipeError:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import scipy.optimize
+from interrupted import masked_interrupt
 from numpy.typing import NDArray
 
 from clalign.alignment.optimise import minimise
@@ -126,14 +127,15 @@ def test_a_region_without_values_does_not_lose_the_best_point() -> None:
     assert found.value == pytest.approx(float(found.x @ found.x))
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), masked_interrupt()], ids=["plain", "masked"])
 @pytest.mark.parametrize("number", [4, 21])
-def test_an_interrupt_keeps_the_best_point(number: int) -> None:
+def test_an_interrupt_keeps_the_best_point(number: int, error: BaseException) -> None:
     """Both come within a line search that has just overshot: the last value is not the best."""
     values: list[float] = []
 
     def interrupted(x: Vector) -> tuple[float, Vector]:
         if len(values) == number:
-            raise KeyboardInterrupt
+            raise error
         values.append(rosenbrock(x)[0])
         return rosenbrock(x)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from interrupted import masked_interrupt
 from prepared import Bound
 
 from clalign.alignment.problem import AlignmentProblem, Evaluation
@@ -136,7 +137,10 @@ def test_without_optimisation_the_start_stays(bind_small: Callable[..., Bound], 
     assert found.losses["total"] == pytest.approx(objective(problem, rotation), rel=1e-12)
 
 
-def test_an_interrupt_keeps_the_best_so_far(bind_small: Callable[..., Bound], rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), masked_interrupt()], ids=["plain", "masked"])
+def test_an_interrupt_keeps_the_best_so_far(
+    bind_small: Callable[..., Bound], rng: np.random.Generator, error: BaseException
+) -> None:
     problem, rotation, _ = bind_small(ROUNDS)
     start = problem.unpack(problem.pack(rotation) + 0.03 * rng.normal(size=problem.band.count))
     seen: list[float] = []
@@ -144,7 +148,7 @@ def test_an_interrupt_keeps_the_best_so_far(bind_small: Callable[..., Bound], rn
     def stop(number: int, evaluation: Evaluation) -> None:
         seen.append(evaluation.total)
         if len(seen) == 9:
-            raise KeyboardInterrupt
+            raise error
 
     found = optimise_rotation(problem, start, "aligned", stop)
     assert found.status == "interrupted"
