@@ -6,6 +6,7 @@
  * gather_rows: out[i, :] = a[index[i], :]                           a (*, k), index (count)
  * row_dots:    dots[i] = a[i, :] . b[i, :], inverse[i] = 1 / dots[i] or 0; inverse may be NULL      a, b (n, k)
  * reciprocal:  out[i] = 1 / s[i] or 0                             (n)
+ * transpose:   launch (ceil(columns / TB)), TB rows of the result each; out (columns, rows) = a (rows, columns)
  * band_expand: matrix (d, d) from values, lower (d), offsets (d + 1): row i holds columns lower[i] on
  * band_gather: values from matrix
  * numpy twins: clalign.engine.reference_arrays.ReferenceArrays (same names; row_dots: numpy.sum(a * b, axis=1))
@@ -13,6 +14,7 @@
 #ifndef EB
 #define EB 4096 /* elements of one work-item */
 #endif
+#define TB 16 /* rows and columns of a block of a transpose: what it reads and writes are whole cache lines */
 
 KERNEL void add(const int count, const real scale_a, const real scale_b, __global const real *a, __global const real *b,
                 __global real *out)
@@ -59,6 +61,21 @@ KERNEL void reciprocal(const int n, __global const real *restrict s, __global re
 {
     const int i = get_global_id(0);
     if (i < n) out[i] = s[i] == ZERO ? ZERO : ONE / s[i];
+}
+
+KERNEL void transpose(const int rows, const int columns, __global const real *restrict a, __global real *restrict out)
+{
+    const int first = get_global_id(0) * TB, last = min(first + TB, columns);
+    for (int block = 0; block < rows; block += TB) {
+        __global const real *from = a + (size_t)block * columns + first;
+        __global real *to = out + (size_t)first * rows + block;
+        if (last - first == TB && rows - block >= TB)
+            for (int j = 0; j < TB; ++j)
+                for (int i = 0; i < TB; ++i) to[(size_t)j * rows + i] = from[(size_t)i * columns + j];
+        else
+            for (int j = 0; j < last - first; ++j)
+                for (int i = 0; i < min(TB, rows - block); ++i) to[(size_t)j * rows + i] = from[(size_t)i * columns + j];
+    }
 }
 
 KERNEL void band_expand(const int d, __global const int *restrict lower, __global const int *restrict offsets,

@@ -7,8 +7,9 @@
  * The order of summation does not depend on the launch, so results are bitwise reproducible.
  *
  * product:     launch (ceil(row groups / groups), ceil(column panels / panels), splits);
- *              a, b reals; ranges (column panels, 2) int or NULL: first and last + 1 depth with anything in that panel;
- *              c (splits, m, n): split s sums depth s * split_depth .. (s + 1) * split_depth - 1
+ *              a, b reals; c (splits, m, n): split s sums depth s * split_depth .. (s + 1) * split_depth - 1;
+ *              each (*, 2) int or NULL, first and last + 1: left_depths (row groups) and right_depths (column panels), the
+ *              depth with anything in them; kept (column panels), the rows of C that are wanted of that panel
  * pack_panels: launch (column panels, ceil(depth / DP)); out (column panels, depth, W) = b[t rs + j cs], zero beyond
  *              column n
  * pack_tiles:  launch (tiles, ceil(depth / DP)); out (tiles, depth, RT) = weight[t] b[t, j] for row-major b
@@ -52,7 +53,8 @@
 KERNEL void product(const int m, const int n, const int depth, const int groups, const int panels, const int split_depth,
                     const real scale, const int accumulate, __global const real *restrict a, const long a_group,
                     const int a_row, const int a_step, __global const real *restrict b, const int b_step, const long b_panel,
-                    __global const int *restrict ranges, __global real *restrict c)
+                    __global const int *restrict left_depths, __global const int *restrict right_depths,
+                    __global const int *restrict kept, __global real *restrict c)
 {
     const int group_count = (m + RT - 1) / RT, panel_count = (n + W - 1) / W;
     const int group_begin = get_global_id(0) * groups, panel_begin = get_global_id(1) * panels;
@@ -61,12 +63,16 @@ KERNEL void product(const int m, const int n, const int depth, const int groups,
     c += (size_t)get_global_id(2) * m * n;
     for (int block = from; block < to; block += KB)
         for (int panel = panel_begin; panel < panel_end; ++panel) {
-            const int first = max(block, ranges ? ranges[2 * panel] : 0);
-            const int last = min(min(block + KB, to), ranges ? ranges[2 * panel + 1] : depth);
+            const int panel_first = max(block, right_depths ? right_depths[2 * panel] : 0);
+            const int panel_last = min(min(block + KB, to), right_depths ? right_depths[2 * panel + 1] : depth);
             const int add = accumulate || block > from;
-            if (first >= last && add) continue;
             const int width = n - panel * W;
-            for (int group = group_begin; group < group_end; ++group) {
+            const int kept_begin = kept ? max(group_begin, kept[2 * panel] / RT) : group_begin;
+            const int kept_end = kept ? min(group_end, (kept[2 * panel + 1] + RT - 1) / RT) : group_end;
+            for (int group = kept_begin; group < kept_end; ++group) {
+                const int first = left_depths ? max(panel_first, left_depths[2 * group]) : panel_first;
+                const int last = left_depths ? min(panel_last, left_depths[2 * group + 1]) : panel_last;
+                if (first >= last && add) continue;
                 const int rows = min(RT, m - group * RT);
                 TILE_BEGIN(a_row, rows)
                 __global const real *from_a = a + group * a_group + (size_t)first * a_step;

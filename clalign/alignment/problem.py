@@ -111,9 +111,10 @@ class AlignmentProblem:
         options: AlignmentOptions,
     ) -> None:
         self.source, self.target, self.factors = source, target, factors
-        self.band, self.backend, self.options = band, backend, options
+        self.band, self.across, self.backend, self.options = band, band.transposed, backend, options
         array = backend.array
         self._projection_x, self._projection_y = array(source.projection), array(target.projection)
+        self._turned_projection_x = backend.transpose(self._projection_x)
         self._descriptors_x, self._descriptors_y = array(source.descriptors), array(target.descriptors)
         self._mass_x = array(source.loss_weights)
         self._gram_source = backend.weighted_gram(self._descriptors_x, self._descriptors_x, self._mass_x)
@@ -155,7 +156,8 @@ class AlignmentProblem:
         )
         if self.options.denominator == "differentiated":
             return Round(target_of_source, *grams, denominator=0.0, weight=weight)
-        _, denominator, _, _ = backend.alignment(backend.array(rotation), *grams, self._one_sided)
+        turns = self._turns(backend.array(rotation))
+        _, denominator, _, _ = backend.alignment(*turns, *grams, self.band, self._one_sided)
         return Round(target_of_source, *grams, denominator=float(denominator), weight=weight)
 
     def pack(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -180,23 +182,23 @@ class AlignmentProblem:
     def embeddings(self, rotation: NDArray[np.float64]) -> tuple[Any, Any]:
         """Return Φ̃ R (n_x, d) and Ψ̃ Rᵀ (n_y, d) (one-sided: Ψ̃), arrays of the backend."""
         backend = self.backend
-        turn = backend.array(rotation)
-        source = backend.banded_product(self._descriptors_x, turn, self.band)
+        turn, turned = self._turns(backend.array(rotation))
+        source = backend.banded_product(self._descriptors_x, turn, right=self.band)
         if self._one_sided:
             return source, self._descriptors_y
-        return source, backend.banded_product(self._descriptors_y, turn, self.band, transpose_r=True)
+        return source, backend.banded_product(self._descriptors_y, turned, right=self.across)
 
     def functional_map(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return C (k_y, k_x) from R by least squares (Eq. 11, 26)."""
-        alpha, beta = self._coefficients(self.backend.array(rotation))
+        alpha, beta = self._coefficients(*self._turns(self.backend.array(rotation)))
         return self.backend.numpy(self._solve(alpha, beta)[0]).astype(np.float64)
 
     def value_and_gradient(self, x: NDArray[np.float64], frozen: Round) -> Evaluation:
         """Evaluate Eq. 24 (or 32) at the packed entries `x` (variables,) of R."""
         backend, options = self.backend, self.options
-        rotation = backend.band_expand(backend.array(x), self.band)
-        align, gradient = self._align(rotation, frozen)
-        alpha, beta = self._coefficients(rotation)
+        rotation, turned = self._turns(backend.band_expand(backend.array(x), self.band))
+        align, gradient = self._align(rotation, turned, frozen)
+        alpha, beta = self._coefficients(rotation, turned)
         functional, gram = self._solve(alpha, beta)
         functional_back, gram_back = self._solve(beta, alpha) if options.cycle else (None, None)
         distortions = self._distortions(functional, functional_back)
@@ -208,8 +210,8 @@ class AlignmentProblem:
                 distortions.slope_back, functional_back, gram_back, beta, alpha
             )
             dalpha, dbeta = backend.add(dalpha, dalpha_back), backend.add(dbeta, dbeta_back)
-        backend.add(gradient, self._rotation_gradient(dalpha, dbeta), scale_b=unsup_weight, out=gradient)
-        scalars["unitarity"] = self._unitarity(rotation, gradient)
+        self._add_rotation_gradient(dalpha, dbeta, unsup_weight, gradient)
+        scalars["unitarity"] = self._unitarity(rotation, turned, gradient)
         packed = backend.numpy(backend.band_gather(gradient, self.band)).astype(np.float64)
         terms = {name: float(value) for name, value in scalars.items()}
         if frozen.denominator > 0:
@@ -223,12 +225,16 @@ class AlignmentProblem:
     def _one_sided(self) -> bool:
         return self.options.sides == "one"
 
-    def _coefficients(self, rotation: Any) -> tuple[Any, Any]:
+    def _turns(self, rotation: Any) -> tuple[Any, Any]:
+        """Return R and Rᵀ."""
+        return rotation, self.backend.transpose(rotation)
+
+    def _coefficients(self, rotation: Any, turned: Any) -> tuple[Any, Any]:
         """Return α = F R and β = H Rᵀ (Eq. 26); one-sided: F C̃ and H (Eq. 18)."""
-        alpha = self.backend.banded_product(self._projection_x, rotation, self.band)
+        alpha = self.backend.banded_product(self._projection_x, rotation, right=self.band)
         if self._one_sided:
             return alpha, self._projection_y
-        return alpha, self.backend.banded_product(self._projection_y, rotation, self.band, transpose_r=True)
+        return alpha, self.backend.banded_product(self._projection_y, turned, right=self.across)
 
     def _solve(self, alpha: Any, beta: Any) -> tuple[Any, Any]:
         """Return C = β αᵀ (α αᵀ + ρ I)⁻¹ and the Gram matrix α αᵀ."""
@@ -254,12 +260,13 @@ class AlignmentProblem:
         backend.product(trace, alpha.reshape(flat), scale=slope_scale, accumulate=True, out=dalpha.reshape(flat))
         return dalpha, dbeta
 
-    def _rotation_gradient(self, dalpha: Any, dbeta: Any) -> Any:
-        """Return dR = Fᵀ dα + dβᵀ H."""
-        gradient = self.backend.product(self._projection_x, dalpha, transpose_a=True)
+    def _add_rotation_gradient(self, dalpha: Any, dbeta: Any, weight: float, gradient: Any) -> None:
+        """Add the weight times Fᵀ dα + dβᵀ H to the gradient by R."""
+        parts = [(self._turned_projection_x, dalpha)]
         if not self._one_sided:
-            self.backend.product(dbeta, self._projection_y, transpose_a=True, accumulate=True, out=gradient)
-        return gradient
+            parts.append((self.backend.transpose(dbeta), self._projection_y))
+        for left, right in parts:
+            self.backend.banded_product(left, right, kept=self.band, scale=weight, accumulate=True, out=gradient)
 
     def _soft_map(self, functional: Any, basis: Any, packed: Any, normal: Any) -> _SoftMapState:
         carried = self.backend.product(basis, functional, transpose_b=True)
@@ -271,14 +278,20 @@ class AlignmentProblem:
         dc = self.backend.soft_map_gradient(state.carried, state.packed, state.normal, state.z, state.s, dz)
         return self.backend.product(dc, basis, transpose_a=True)
 
-    def _align(self, rotation: Any, frozen: Round) -> tuple[Any, Any]:
-        """Return l_align (Eq. 21) and its gradient (d, d); with a frozen denominator the value still lacks it.
+    def _align(self, rotation: Any, turned: Any, frozen: Round) -> tuple[Any, Any]:
+        """Return l_align (Eq. 21) and its gradient (d, d) inside the band.
 
-        Only the differentiated denominator waits for the device here.
+        With a frozen denominator the value still lacks it; only a differentiated one waits for the device here.
         """
         backend = self.backend
         numerator, denominator, dnumerator, ddenominator = backend.alignment(
-            rotation, frozen.gram_source, frozen.gram_target, frozen.gram_cross, self._one_sided
+            rotation,
+            turned,
+            frozen.gram_source,
+            frozen.gram_target,
+            frozen.gram_cross,
+            self.band,
+            self._one_sided,
         )
         if frozen.denominator > 0:
             return numerator, backend.add(dnumerator, ddenominator, scale_a=1.0 / frozen.denominator, scale_b=0.0)
@@ -319,13 +332,15 @@ class AlignmentProblem:
         inverse = backend.array(1.0 / backend.numpy(s).astype(np.float64))
         return backend.scale_rows(backend.packed_moments(carried, inverse, dz), self._single)
 
-    def _unitarity(self, rotation: Any, gradient: Any) -> Any:
+    def _unitarity(self, rotation: Any, turned: Any, gradient: Any) -> Any:
         """Return d² l_uni (Eq. 23); its penalty, if any, is added to `gradient`."""
         backend, size = self.backend, self.band.size
-        excess = backend.banded_product(rotation, rotation, self.band, transpose_r=True)
+        excess = backend.banded_product(rotation, turned, left=self.band, right=self.across)
         backend.add(excess, self._identity, scale_b=-1.0, out=excess)
         flat = excess.reshape(size * size, 1)
         if self.options.unitarity > 0:
             scale = 4.0 * self.options.unitarity / size**2
-            backend.product(excess, rotation, scale=scale, accumulate=True, out=gradient)
+            backend.banded_product(
+                excess, rotation, right=self.band, kept=self.band, scale=scale, accumulate=True, out=gradient
+            )
         return backend.weighted_gram(flat, flat).reshape(())

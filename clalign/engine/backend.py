@@ -60,6 +60,19 @@ class Band:
         return Band(low, high, offsets)
 
     @property
+    def transposed(self) -> Band:
+        """The band of the transpose.
+
+        Raises
+        ------
+        InputError
+            A column has nothing inside the band.
+        """
+        columns = np.arange(self.size)
+        first, last = np.searchsorted(self.upper, columns, "right"), np.searchsorted(self.lower, columns, "right")
+        return Band.from_limits(first, last)
+
+    @property
     def size(self) -> int:
         """Rows (and columns) of the matrix."""
         return int(self.lower.size)
@@ -135,8 +148,26 @@ class Products(Protocol):
     def band_gather(self, matrix: Array, band: Band, *, out: Array = None) -> Array:
         """Entries of a (d, d) matrix inside the band, packed: the adjoint of `band_expand`."""
 
-    def banded_product(self, a: Array, r: Array, band: Band, *, transpose_r: bool = False, out: Array = None) -> Array:
-        """Return a R or a Rᵀ for a (m, d) and R (d, d) zero outside the band; tiles of zeros are skipped."""
+    def transpose(self, a: Array, *, out: Array = None) -> Array:
+        """aᵀ, stored row by row, for a (n, k)."""
+
+    def banded_product(
+        self,
+        a: Array,
+        b: Array,
+        *,
+        left: Band | None = None,
+        right: Band | None = None,
+        kept: Band | None = None,
+        scale: float = 1.0,
+        accumulate: bool = False,
+        out: Array = None,
+    ) -> Array:
+        """Return scale · a b, added to `out` when `accumulate` is set, without most of the work that a band saves.
+
+        a (m, q) is zero outside `left`, b (q, n) outside `right`: what lies there may be read or not. Of the result
+        (m, n) the entries outside `kept` have no meaning.
+        """
 
     def weighted_gram(self, a: Array, b: Array, w: Array = None, *, out: Array = None) -> Array:
         """aᵀ diag(w) b for a (n, p), b (n, q), w (n,) or None: (p, q)."""
@@ -212,16 +243,19 @@ class Losses(Protocol):
     def alignment(
         self,
         r: Array,
+        turned: Array,
         g_x: Array,
         g_y: Array,
         g_xy: Array,
+        band: Band,
         one_sided: bool = False,
         *,
         out: tuple[Array, Array, Array, Array] | None = None,
     ) -> tuple[Array, Array, Array, Array]:
         """Eq. 21 with π fixed, from Gram matrices (d, d): numerator, denominator and their gradients (d, d).
 
-        numerator |Φ̃R − Ψ̃_π Rᵀ|² = tr(RᵀG_xR) + tr(R G_y Rᵀ) − 2 tr(RᵀG_xyRᵀ), denominator |Ψ̃_π Rᵀ|²; one-sided
+        `r` is zero outside the band, `turned` its transpose; of the gradients only what lies inside the band has a
+        meaning. numerator |Φ̃R − Ψ̃_π Rᵀ|² = tr(RᵀG_xR) + tr(R G_y Rᵀ) − 2 tr(RᵀG_xyRᵀ), denominator |Ψ̃_π Rᵀ|²; one-sided
         (Eq. 18): |Φ̃R − Ψ̃_π|² and |Ψ̃_π|², whose gradient is zero.
         """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .backend import Band
 from .device import DeviceArray
 from .kernels_arrays import require_shapes
 from .kernels_products import KernelProducts
@@ -61,37 +62,37 @@ class KernelLosses(KernelProducts):
     def alignment(
         self,
         r: DeviceArray,
+        turned: DeviceArray,
         g_x: DeviceArray,
         g_y: DeviceArray,
         g_xy: DeviceArray,
+        band: Band,
         one_sided: bool = False,
         *,
         out: tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray] | None = None,
     ) -> tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray]:
-        """Eq. 21 (or Eq. 18) with π fixed, from Gram matrices."""
-        square = r.shape
-        require_shapes("alignment", g_x=(g_x.shape, square), g_y=(g_y.shape, square), g_xy=(g_xy.shape, square))
+        """Eq. 21 (or Eq. 18) with π fixed, from Gram matrices, only where R may differ from zero."""
+        square, d = r.shape, band.size
+        require_shapes("alignment", r=(square, (d, d)), turned=(turned.shape, square), g_x=(g_x.shape, square))
+        require_shapes("alignment", g_y=(g_y.shape, square), g_xy=(g_xy.shape, square))
         numerator = self._result("alignment", (), out and out[0])
         denominator = self._result("alignment", (), out and out[1])
         slope = self._result("alignment", square, out and out[2])
         denominator_slope = self._result("alignment", square, out and out[3])
-        self.product(g_x, r, out=slope)
-        self._dot(r, slope, numerator)
+        self.banded_product(g_x, r, right=band, kept=band, scale=2.0, out=slope)
         if one_sided:
-            self.device.launch(self.device.kernel("reduce", "trace"), 1, square[0], g_y, denominator)
-            self._dot(r, g_xy, numerator, scale=-2.0, accumulate=True)
-            self.add(slope, g_xy, scale_a=2.0, scale_b=-2.0, out=slope)
             self.add(slope, slope, scale_a=0.0, scale_b=0.0, out=denominator_slope)
+            other, factor, trace_of = g_xy, -2.0, g_y
         else:
-            self.product(r, g_y, out=denominator_slope)
-            self._dot(r, denominator_slope, denominator)
-            cross = self.product(g_xy, r, transpose_b=True, out=self._work("cross", *square))
-            self._dot(r, cross, numerator, scale=-2.0, accumulate=True)
-            self.product(r, g_xy, transpose_a=True, accumulate=True, out=cross)
-            self.add(slope, denominator_slope, scale_a=2.0, scale_b=2.0, out=slope)
-            self.add(slope, cross, scale_b=-2.0, out=slope)
-            self.add(denominator_slope, denominator_slope, out=denominator_slope)
-        self.add(numerator, denominator, out=numerator)
+            across = band.transposed
+            self.banded_product(r, g_y, left=band, kept=band, scale=2.0, out=denominator_slope)
+            self.banded_product(g_xy, turned, right=across, kept=band, scale=-2.0, accumulate=True, out=slope)
+            self.banded_product(turned, g_xy, left=across, kept=band, scale=-2.0, accumulate=True, out=slope)
+            other, factor, trace_of = denominator_slope, 1.0, None
+        partial = self._work("alignment", 2, d)
+        rows, values = (self.device.kernel("alignment", name) for name in ("band_rows", "alignment_values"))
+        self.device.launch(rows, d, d, factor, *self._band_tables(band), r, other, slope, partial)
+        self.device.launch(values, 1, d, partial, trace_of, numerator, denominator)
         return numerator, denominator, slope, denominator_slope
 
     def _work(self, name: str, rows: int, columns: int) -> DeviceArray:

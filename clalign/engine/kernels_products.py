@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,6 +37,21 @@ DEPTH_SPLIT = 512
 """Least depth of a part when a product is cut along its depth."""
 
 CHOLESKY_ITEMS = 8
+
+TRANSPOSED = 16
+"""Rows of the result of one work-item of a transpose: TB of ``elementwise.cl``."""
+
+
+@dataclass(frozen=True)
+class Skipping:
+    """What a product leaves out, for each as in ``product.cl``: int32 (groups, 2) or (panels, 2), or None."""
+
+    left_depths: DeviceArray | None = None
+    right_depths: DeviceArray | None = None
+    kept: DeviceArray | None = None
+
+
+NOTHING_SKIPPED = Skipping()
 
 
 class KernelProducts(KernelArrays):
@@ -90,18 +108,39 @@ class KernelProducts(KernelArrays):
         return result
 
     def banded_product(
-        self, a: DeviceArray, r: DeviceArray, band: Band, *, transpose_r: bool = False, out: DeviceArray | None = None
+        self,
+        a: DeviceArray,
+        b: DeviceArray,
+        *,
+        left: Band | None = None,
+        right: Band | None = None,
+        kept: Band | None = None,
+        scale: float = 1.0,
+        accumulate: bool = False,
+        out: DeviceArray | None = None,
     ) -> DeviceArray:
-        """Return a R or a Rᵀ, skipping tiles of zeros; R must be zero outside the band."""
-        size = band.size
-        require_shapes("banded_product", r=(r.shape, (size, size)), a=(a.shape[1:], (size,)))
-        result = self._result("banded_product", (a.shape[0], size), out)
-        lanes = self.device.lanes
-        key = ("ranges", band.lower.tobytes(), band.upper.tobytes(), transpose_r, lanes)
-        if key not in self._constants:
-            self._constants[key] = self.array(panel_ranges(band, transpose_r, lanes))
-        ranges = self._constants[key]
-        self._product(a, r, result, a.shape[0], size, size, False, transpose_r, ranges=ranges)
+        """Return scale · a b: tiles of zeros and tiles that nobody reads are skipped."""
+        (m, depth), n = a.shape, b.shape[1]
+        require_shapes("banded_product", b=(b.shape[:1], (depth,)))
+        for name, band, shape in (("a", left, a.shape), ("b", right, b.shape), ("out", kept, (m, n))):
+            if band is not None:
+                require_shapes("banded_product", **{name: (shape, (band.size, band.size))})
+        result = self._result("banded_product", (m, n), out)
+        skipping = Skipping(
+            self._ranges(left, self._tile, row_ranges),
+            self._ranges(right, self.device.lanes, panel_ranges),
+            self._ranges(kept, self.device.lanes, panel_ranges),
+        )
+        adding = accumulate and out is not None
+        self._product(a, b, result, m, n, depth, False, False, scale=scale, accumulate=adding, skipping=skipping)
+        return result
+
+    def transpose(self, a: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
+        """aᵀ, stored row by row."""
+        rows, columns = a.shape
+        result = self._result("transpose", (columns, rows), out)
+        kernel = self.device.kernel("elementwise", "transpose", EB=ELEMENTS)
+        self.device.launch(kernel, ceil_div(columns, TRANSPOSED), rows, columns, a, result)
         return result
 
     def weighted_gram(
@@ -163,7 +202,7 @@ class KernelProducts(KernelArrays):
         scale: float = 1.0,
         accumulate: bool = False,
         weight: DeviceArray | None = None,
-        ranges: DeviceArray | None = None,
+        skipping: Skipping | None = None,
         splits: int = 1,
     ) -> None:
         """Queue a product, packing a side where what it reads is not contiguous or is read often.
@@ -189,10 +228,10 @@ class KernelProducts(KernelArrays):
         kernel = self.device.kernel("product", "product", RT=self._tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         size = (ceil_div(group_count, groups), ceil_div(panel_count, panels), splits)
         split_depth = ceil_div(depth, splits)
-        sizes = (m, n, depth, groups, panels, split_depth)
-        self.device.launch(
-            kernel, size, *sizes, scale, int(accumulate), a, a_group, a_row, a_step, b, b_step, b_panel, ranges, result
-        )
+        sizes = (m, n, depth, groups, panels, split_depth, scale, int(accumulate))
+        skipped = NOTHING_SKIPPED if skipping is None else skipping
+        ranges = skipped.left_depths, skipped.right_depths, skipped.kept
+        self.device.launch(kernel, size, *sizes, a, a_group, a_row, a_step, b, b_step, b_panel, *ranges, result)
 
     def _gram(self, a: DeviceArray, b: DeviceArray, w: DeviceArray | None, result: DeviceArray) -> None:
         """Queue a Gram matrix on a CPU: every unit packs and sums parts of the depth of its own.
@@ -280,17 +319,34 @@ class KernelProducts(KernelArrays):
             self._constants["offsets", *key] = self.array(band.offsets)
         return self._constants["lower", *key], self._constants["offsets", *key]
 
+    def _ranges(
+        self, band: Band | None, width: int, make: Callable[[Band, int], NDArray[np.int32]]
+    ) -> DeviceArray | None:
+        """Table of what the rows or columns of a band reach, kept on the device."""
+        if band is None:
+            return None
+        key = (make, band.lower.tobytes(), band.upper.tobytes(), width)
+        if key not in self._constants:
+            self._constants[key] = self.array(make(band, width))
+        return self._constants[key]
 
-def panel_ranges(band: Band, transpose: bool, lanes: int) -> NDArray[np.int32]:
-    """First and last + 1 row with anything inside the band, for every panel of columns of R (or of Rᵀ): (panels, 2)."""
-    panels = ceil_div(band.size, lanes)
-    ranges = np.zeros((panels, 2), dtype=np.int32)
-    for panel in range(panels):
-        first, last = panel * lanes, min(band.size, (panel + 1) * lanes) - 1
-        if transpose:
-            ranges[panel] = band.lower[first], band.upper[last]
-        else:
-            # A row reaches columns first..last if its run ends behind `first` and starts at or before `last`.
-            inside = np.flatnonzero((band.upper > first) & (band.lower <= last))
-            ranges[panel] = (inside[0], inside[-1] + 1) if inside.size else (0, 0)
-    return ranges
+
+def panel_ranges(band: Band, width: int) -> NDArray[np.int32]:
+    """First and last + 1 row with anything inside the band, for every panel of `width` columns: (panels, 2)."""
+    first, last = _runs(band.size, width)
+    # A row reaches columns first..last if its run ends behind `first` and starts at or before `last`.
+    return np.stack(
+        [np.searchsorted(band.upper, first, "right"), np.searchsorted(band.lower, last, "right")], axis=1
+    ).astype(np.int32)
+
+
+def row_ranges(band: Band, height: int) -> NDArray[np.int32]:
+    """First and last + 1 column with anything inside the band, for every group of `height` rows: (groups, 2)."""
+    first, last = _runs(band.size, height)
+    return np.stack([band.lower[first], band.upper[last]], axis=1)
+
+
+def _runs(size: int, length: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and last of every run of `length` numbers below `size`."""
+    first = np.arange(0, size, length)
+    return first, np.minimum(first + length, size) - 1

@@ -180,7 +180,7 @@ def product_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Ite
     yield _product_case(kernels, rng, "product", n, k, k)
     band = _funnel(d)
     a, r, out = kernels.array(_random(rng, k, d)), kernels.zeros((d, d)), kernels.zeros((k, d))
-    banded: Run = lambda: kernels.banded_product(a, r, band, out=out)  # noqa: E731
+    banded: Run = lambda: kernels.banded_product(a, r, right=band, out=out)  # noqa: E731
     yield Case("banded_product", f"{k}x{d}", 2.0 * k * band.count, banded, *_numpy_product(rng, k, d, d))
     x, y, w, gram = (kernels.array(_random(rng, *s)) for s in ((n, d), (n, k), (n,), (d, k)))
     weighted: Run = lambda: kernels.weighted_gram(x, y, w, out=gram)  # noqa: E731
@@ -228,10 +228,12 @@ def loss_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Iterat
     value, slope = kernels.zeros(()), kernels.zeros((n, r))
     distortion: Run = lambda: kernels.distortion(z, core, left, core, w, out=(value, slope))  # noqa: E731
     yield Case("distortion", f"n={n} r={r}", 10.0 * n * r * r, distortion, *_numpy_product(rng, n, r, 5 * r))
-    square = kernels.array(_random(rng, d, d))
+    square, band = kernels.array(_random(rng, d, d)), _funnel(d)
     out = (kernels.zeros(()), kernels.zeros(()), kernels.zeros((d, d)), kernels.zeros((d, d)))
-    alignment: Run = lambda: kernels.alignment(square, square, square, square, out=out)  # noqa: E731
-    yield Case("alignment", f"d={d}", 8.0 * d**3, alignment, *_numpy_product(rng, d, d, 4 * d))
+    rotation = kernels.band_expand(kernels.array(_random(rng, band.count)), band)
+    turned = kernels.transpose(rotation)
+    alignment: Run = lambda: kernels.alignment(rotation, turned, square, square, square, band, out=out)  # noqa: E731
+    yield Case("alignment", f"d={d}", _alignment_work(band), alignment, *_numpy_product(rng, d, d, 4 * d))
 
 
 def search_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Iterator[Case]:
@@ -275,10 +277,12 @@ def sequence_case(kernels: Kernels, size: Size, rng: np.random.Generator) -> Cas
     """One evaluation of value and gradient: from packed R to both losses and back, without reading anything back."""
     n, k, d, r = size.n, size.k, size.d, size.r
     band = _funnel(d)
+    across = band.transposed
     make: Callable[..., Any] = lambda *shape: kernels.array(_random(rng, *shape))  # noqa: E731
     x, f, h, phi, square = make(band.count), make(k, d), make(k, d), make(n, k), make(d, d)
     packed, core, left, w = make(pair_count(k), r), make(r, r), make(n, r), make(n)
-    shapes = {"rot": (d, d), "a": (k, d), "b": (k, d), "gram": (k, k), "rhs": (k, k), "c": (k, k), "x": (k, k)}
+    shapes = {"r": (d, d), "rt": (d, d), "a": (k, d), "b": (k, d)}
+    shapes |= dict.fromkeys(("gram", "rhs", "c", "x"), (k, k))
     small = {name: kernels.zeros(shape) for name, shape in shapes.items()}
     cphi, dc, pair = kernels.zeros((n, k)), kernels.zeros((n, k)), (kernels.zeros((n, r)), kernels.zeros(n))
     loss = (kernels.zeros(()), kernels.zeros((n, r)))
@@ -286,9 +290,10 @@ def sequence_case(kernels: Kernels, size: Size, rng: np.random.Generator) -> Cas
     da, db, gradient = kernels.zeros((k, d)), kernels.zeros((k, d)), kernels.zeros(band.count)
 
     def run() -> None:
-        rotation = kernels.band_expand(x, band, out=small["rot"])
-        alpha = kernels.banded_product(f, rotation, band, out=small["a"])
-        beta = kernels.banded_product(h, rotation, band, transpose_r=True, out=small["b"])
+        rotation = kernels.band_expand(x, band, out=small["r"])
+        alpha = kernels.banded_product(f, rotation, right=band, out=small["a"])
+        turned = kernels.transpose(rotation, out=small["rt"])
+        beta = kernels.banded_product(h, turned, right=across, out=small["b"])
         gram = kernels.product(alpha, alpha, transpose_b=True, out=small["gram"])
         rhs = kernels.product(beta, alpha, transpose_b=True, out=small["rhs"])
         c = kernels.solve_right(gram, rhs, 1e-6, out=small["c"])
@@ -301,13 +306,21 @@ def sequence_case(kernels: Kernels, size: Size, rng: np.random.Generator) -> Cas
         kernels.product(slope, alpha, out=db)
         kernels.product(slope, beta, transpose_a=True, out=da)
         kernels.product(c, db, transpose_a=True, scale=-1.0, accumulate=True, out=da)
-        kernels.alignment(rotation, square, square, square, out=aligned)
+        kernels.alignment(rotation, turned, square, square, square, band, out=aligned)
         kernels.product(f, da, transpose_a=True, accumulate=True, out=aligned[2])
         kernels.product(db, h, transpose_a=True, accumulate=True, out=aligned[2])
         kernels.band_gather(aligned[2], band, out=gradient)
 
     work = 4.0 * n * pair_count(k) * r
     return Case("value_and_gradient", str(size), work, run, *_numpy_product(rng, n, 2 * r, pair_count(k)))
+
+
+def _alignment_work(band: Band) -> float:
+    """Operations of the four products behind l_align, each summed where R is not zero and kept inside the band."""
+    rows, columns = np.diff(band.offsets).astype(float), np.diff(band.transposed.offsets).astype(float)
+    # The entry (i, j) of G_x R sums over column j of R, of R G_y over row i, of G_xy R^T over row j, of R^T G_xy over
+    # column i.
+    return float(2.0 * np.sum((rows + columns) ** 2))
 
 
 def _funnel(size: int) -> Band:

@@ -23,6 +23,7 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "cholesky": ("cholesky.cl",),
     "elementwise": ("elementwise.cl",),
     "reduce": ("reduce.cl",),
+    "alignment": ("alignment.cl",),
     "candidates": ("candidates.cl",),
 }
 """Program name to the files that follow the prelude in it."""

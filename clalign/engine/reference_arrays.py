@@ -90,12 +90,29 @@ class ReferenceArrays:
         """Entries of a matrix inside the band."""
         return stored(matrix[band_positions(band)], out)
 
+    def transpose(self, a: Array, *, out: Array | None = None) -> Array:
+        """aᵀ."""
+        return stored(np.ascontiguousarray(a.T), out)
+
     def banded_product(
-        self, a: Array, r: Array, band: Band, *, transpose_r: bool = False, out: Array | None = None
+        self,
+        a: Array,
+        b: Array,
+        *,
+        left: Band | None = None,
+        right: Band | None = None,
+        kept: Band | None = None,
+        scale: float = 1.0,
+        accumulate: bool = False,
+        out: Array | None = None,
     ) -> Array:
-        """Return a R or a Rᵀ; entries of R outside the band are not read."""
-        inside = self.band_expand(self.band_gather(r, band), band)
-        return stored(a @ (inside.T if transpose_r else inside), out)
+        """Return scale · a b, added to `out` when `accumulate` is set; entries outside `kept` are zero."""
+
+        def inside(matrix: Array, band: Band | None) -> Array:
+            return matrix if band is None else self.band_expand(self.band_gather(matrix, band), band)
+
+        value = self.dtype.type(scale) * (inside(a, left) @ inside(b, right))
+        return stored(inside(out + value if accumulate and out is not None else value, kept), out)
 
     def weighted_gram(self, a: Array, b: Array, w: Array | None = None, *, out: Array | None = None) -> Array:
         """aᵀ diag(w) b."""

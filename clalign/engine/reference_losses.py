@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .reference_arrays import stored
+from .backend import Band
+from .reference_arrays import band_positions, stored
 
 Array = NDArray[Any]
 
@@ -43,14 +44,16 @@ class ReferenceLosses:
     def alignment(
         self,
         r: Array,
+        turned: Array,
         g_x: Array,
         g_y: Array,
         g_xy: Array,
+        band: Band,
         one_sided: bool = False,
         *,
         out: tuple[Array, Array, Array, Array] | None = None,
     ) -> tuple[Array, Array, Array, Array]:
-        """Eq. 21 (or Eq. 18) with π fixed, from Gram matrices."""
+        """Eq. 21 (or Eq. 18) with π fixed, from Gram matrices; the gradients are zero outside the band."""
         left = g_x @ r
         if one_sided:
             denominator = np.trace(g_y)
@@ -58,11 +61,13 @@ class ReferenceLosses:
             gradients = (2 * (left - g_xy), np.zeros_like(r))
         else:
             right = r @ g_y
-            cross = g_xy @ r.T
+            cross = g_xy @ turned
             denominator = np.sum(r * right)
             numerator = np.sum(r * left) + denominator - 2 * np.sum(r * cross)
-            gradients = (2 * (left + right - cross - r.T @ g_xy), 2 * right)
-        values = (np.asarray(numerator), np.asarray(denominator), *gradients)
+            gradients = (2 * (left + right - cross - turned @ g_xy), 2 * right)
+        inside = np.zeros_like(r)
+        inside[band_positions(band)] = 1
+        values = (np.asarray(numerator), np.asarray(denominator), *(inside * gradient for gradient in gradients))
         if out is None:
             return values
         return (

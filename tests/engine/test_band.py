@@ -7,7 +7,7 @@ import pytest
 
 from clalign.engine.backend import Band
 from clalign.engine.kernels import Kernels
-from clalign.engine.kernels_products import panel_ranges
+from clalign.engine.kernels_products import panel_ranges, row_ranges
 from clalign.engine.reference import Reference
 from clalign.errors import InputError
 
@@ -29,22 +29,70 @@ def test_packing_matches_twin_and_is_adjoint(check, reference: Reference, rng, s
 
 
 @pytest.mark.parametrize("size", [1, 17, 97, 257])
-@pytest.mark.parametrize("transpose", [False, True])
-def test_product_matches_twin(check, reference: Reference, rng, size, transpose):
+@pytest.mark.parametrize("left", [False, True])
+@pytest.mark.parametrize("right", [False, True])
+@pytest.mark.parametrize("kept", [False, True])
+def test_product_matches_twin(check, reference: Reference, rng, size, left, right, kept):
     band = funnel(size)
-    matrix = reference.band_expand(rng.normal(size=band.count), band)
-    check("banded_product", rng.normal(size=(43, size)), matrix, band, transpose_r=transpose)
+    full = Band.from_limits(np.zeros(size), np.full(size, size))
+    bands = {
+        "left": band if left else full,
+        "right": band.transposed if right else full,
+        "kept": band if kept else None,
+    }
+    a, b = (reference.band_expand(rng.normal(size=bands[side].count), bands[side]) for side in ("left", "right"))
+    check("banded_product", a, b, **bands, scale=-1.5, inside=bands["kept"])
 
 
 @pytest.mark.parametrize("transpose", [False, True])
-def test_ranges_cover_the_band_and_little_else(transpose):
-    band = funnel(200)
+def test_product_with_few_rows_matches_twin(check, reference: Reference, rng, transpose):
+    band = funnel(257).transposed if transpose else funnel(257)
+    matrix = reference.band_expand(rng.normal(size=band.count), band)
+    check("banded_product", rng.normal(size=(43, 257)), matrix, right=band)
+
+
+def test_product_accumulates_into_out(kernels: Kernels, reference: Reference, rng):
+    band = funnel(97)
+    inside = reference.band_expand(np.ones(band.count), band).astype(bool)
+    a, b, c = (rng.normal(size=(97, 97)) for _ in range(3))
+    b[~inside] = 0.0
+    out = kernels.array(c)
+    kernels.banded_product(
+        kernels.array(a), kernels.array(b), right=band, kept=band, scale=2.0, accumulate=True, out=out
+    )
+    np.testing.assert_allclose(kernels.numpy(out)[inside], (c + 2 * a @ b)[inside], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (17, 5), (97, 130), (16, 33)])
+def test_transpose_matches_twin(check, rng, shape):
+    check("transpose", rng.normal(size=shape))
+
+
+@pytest.mark.parametrize("size", [1, 2, 97, 200])
+def test_the_transposed_band_holds_the_transpose(size):
+    band = funnel(size)
     inside = Reference().band_expand(np.ones(band.count), band)
-    if transpose:
-        inside = inside.T
-    for panel, (first, last) in enumerate(panel_ranges(band, transpose, 16)):
-        rows = np.flatnonzero(inside[:, panel * 16 : (panel + 1) * 16].any(axis=1))
+    np.testing.assert_array_equal(Reference().band_expand(np.ones(band.count), band.transposed), inside.T)
+    twice = band.transposed.transposed
+    np.testing.assert_array_equal(twice.lower, band.lower)
+    np.testing.assert_array_equal(twice.upper, band.upper)
+
+
+def test_a_band_with_an_empty_column_has_no_transpose():
+    with pytest.raises(InputError, match="row 1 of the band"):
+        _ = Band.from_limits([0, 0, 2], [1, 1, 3]).transposed
+
+
+@pytest.mark.parametrize("width", [6, 8, 16, 32])
+def test_ranges_cover_the_band_and_little_else(width):
+    band = funnel(200)
+    inside = Reference().band_expand(np.ones(band.count), band).astype(bool)
+    for panel, (first, last) in enumerate(panel_ranges(band, width)):
+        rows = np.flatnonzero(inside[:, panel * width : (panel + 1) * width].any(axis=1))
         assert (first, last) == (rows[0], rows[-1] + 1)
+    for group, (first, last) in enumerate(row_ranges(band, width)):
+        columns = np.flatnonzero(inside[group * width : (group + 1) * width].any(axis=0))
+        assert (first, last) == (columns[0], columns[-1] + 1)
 
 
 def test_a_narrow_band_reads_only_its_tiles(kernels: Kernels):
@@ -54,8 +102,22 @@ def test_a_narrow_band_reads_only_its_tiles(kernels: Kernels):
     band = Band.from_limits(np.maximum(rows - 2, 0), np.minimum(rows + 3, size))
     matrix = Reference().band_expand(np.ones(band.count), band)
     poisoned = np.where(np.abs(rows[:, None] - rows) > 40, np.nan, matrix)
-    result = kernels.numpy(kernels.banded_product(kernels.array(np.eye(size)), kernels.array(poisoned), band))
+    result = kernels.numpy(kernels.banded_product(kernels.array(np.eye(size)), kernels.array(poisoned), right=band))
     np.testing.assert_array_equal(result, matrix)
+    left = kernels.numpy(kernels.banded_product(kernels.array(poisoned), kernels.array(np.eye(size)), left=band))
+    np.testing.assert_array_equal(left, matrix)
+
+
+def test_what_is_not_kept_is_not_computed(kernels: Kernels, rng):
+    """Tiles far from the band keep what was there."""
+    size = 320
+    rows = np.arange(size)
+    band = Band.from_limits(np.maximum(rows - 2, 0), np.minimum(rows + 3, size))
+    a, b = (kernels.array(rng.normal(size=(size, size))) for _ in range(2))
+    out = kernels.array(np.full((size, size), 7.0))
+    kernels.banded_product(a, b, kept=band, out=out)
+    far = np.abs(rows[:, None] - rows) > 40
+    np.testing.assert_array_equal(kernels.numpy(out)[far], 7.0)
 
 
 @pytest.mark.parametrize(
