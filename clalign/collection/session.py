@@ -19,7 +19,7 @@ from clalign.engine import open_backend
 from clalign.engine.backend import Backend
 from clalign.geometry.cache import ShapeCache, default_folder
 from clalign.geometry.mesh import load_mesh
-from clalign.geometry.shape import Shape, prepare
+from clalign.geometry.shape import Shape, equally_smoothed, prepare
 from clalign.options import Options
 
 try:
@@ -92,6 +92,10 @@ class Session:
             held = prepare(load_mesh(member.path), self.settings.options, self._cache)
         self._shapes[member.digest] = held
         return held
+
+    def pair(self, source: Member, target: Member) -> tuple[Shape, Shape]:
+        """Return two prepared shapes, both in the metric that the noisier one asks for."""
+        return equally_smoothed(self.shape(source), self.shape(target), self.settings.options.spectrum, self._cache)
 
 
 _threads = threading.local()

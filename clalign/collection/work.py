@@ -73,7 +73,7 @@ def match_members(source: Member, target: Member, prepared: tuple[ShapeRow, Shap
 
     def work() -> Correspondence:
         here = session(settings)
-        return match_shapes(here.shape(source), here.shape(target), here.backend, settings.options, Clock())
+        return match_shapes(*here.pair(source, target), here.backend, settings.options, Clock())
 
     return _finished_pair(source, target, "direct", pair_key(source, target, settings.options), work, settings)
 
@@ -97,9 +97,7 @@ def derive_members(
 
     def work() -> Correspondence:
         here = session(settings)
-        return derived_correspondence(
-            here.shape(source), here.shape(target), functional, here.backend, settings.options
-        )
+        return derived_correspondence(*here.pair(source, target), functional, here.backend, settings.options)
 
     kind: Kind = "derived" if direct is None else "repaired"
     key = pair_key(source, target, settings.options, network)

@@ -82,7 +82,7 @@ def draw_spectral_errors(errors: Mapping[str, SpectralErrors]) -> Drawing:
     first = next(iter(errors.values()))
     curves: dict[str, NDArray[np.float64]] = {"unaligned": first.unaligned, "unaligned, true signs": first.signed}
     curves |= {label: measured.aligned for label, measured in errors.items()}
-    figure = new_figure(6.6, 3.9)
+    figure = new_figure(6.6, 4.3)
     axes = figure.add_subplot()
     count = max(len(curve) for curve in curves.values())
     for number, (label, curve) in enumerate(curves.items()):
@@ -92,7 +92,8 @@ def draw_spectral_errors(errors: Mapping[str, SpectralErrors]) -> Drawing:
         axes.plot(index, running_mean(curve, _RUNNING), color=colour, linewidth=1.6, label=label)
     axes.set(xlim=(1, count), ylim=(0, 2.05), xlabel="eigenfunction k", ylabel="relative error err(k)")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small", loc="best")
+    # Beside the axes: thin lines are everywhere inside.
+    axes.legend(fontsize="small", loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
     figure.set_layout_engine("constrained")
     rows = tuple(
         (k + 1, *(float(curve[k]) if k < len(curve) else None for curve in curves.values())) for k in range(count)
