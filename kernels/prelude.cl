@@ -5,6 +5,7 @@
  *          realv gives
  * W        2 V, the lanes of a panel: a matrix stored as [panel][row][W] so that a row of a panel is two vectors
  * LOAD, STORE   vectors at addresses aligned to one real. vloadn is a call that PoCL does not inline
+ * PREFETCH a cache line, to be read or written (0 or 1)
  * KERNEL   a kernel whose work-items are independent, in groups of -D WG (1 on a CPU)
  * fma() is never called: with -cl-mad-enable the compiler contracts a * b + c itself.
  */
@@ -55,5 +56,16 @@ typedef realv loose __attribute__((aligned(REAL_BYTES)));
 #define KERNEL_OF(items) __kernel __attribute__((reqd_work_group_size(items, 1, 1)))
 /* A function that is part of every kernel that calls it: one of its own would be compiled for shorter vectors. */
 #define INLINE inline __attribute__((always_inline))
+/* Ask for a cache line before it is needed, where work-items are a CPU's and the compiler can. There all address spaces are
+ * one, which the way through a number says. */
+#if WG == 1 && defined(__has_builtin)
+#if __has_builtin(__builtin_prefetch)
+#define PREFETCH(address, write) __builtin_prefetch((const void *)(size_t)(address), write)
+#endif
+#endif
+#ifndef PREFETCH
+#define PREFETCH(address, write)
+#endif
+#define LINE (64 / REAL_BYTES) /* reals of a cache line */
 #define ZERO ((real)0)
 #define ONE ((real)1)

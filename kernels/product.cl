@@ -50,6 +50,13 @@
         }                                                           \
     }
 
+/* Fetch the next rows of a tall A, which come from memory one group after the other, while this group is summed. */
+INLINE void fetch_rows(__global const real *rows, const int row_stride, const int count)
+{
+    for (int i = 0; i < RT; ++i)
+        for (int t = 0; t < count; t += LINE) PREFETCH(rows + (size_t)i * row_stride + t, 0);
+}
+
 KERNEL void product(const int m, const int n, const int depth, const int groups, const int panels, const int split_depth,
                     const real scale, const int accumulate, __global const real *restrict a, const long a_group,
                     const int a_row, const int a_step, __global const real *restrict b, const int b_step, const long b_panel,
@@ -77,11 +84,16 @@ KERNEL void product(const int m, const int n, const int depth, const int groups,
                 TILE_BEGIN(a_row, rows)
                 __global const real *from_a = a + group * a_group + (size_t)first * a_step;
                 __global const real *from_b = b + panel * b_panel + (size_t)first * b_step;
+                __global real *target = c + (size_t)group * RT * n + panel * W;
+                if (panel == panel_begin && a_step == 1) fetch_rows(from_a + a_group, a_row, last - first);
+                for (int i = 0; i < rows; ++i) {
+                    PREFETCH(target + (size_t)i * n, 1);
+                    PREFETCH(target + (size_t)i * n + V, 1);
+                }
                 if (width > V)
                     TILE_STEPS(__global, from_b, b_step, from_a, a_step, last - first)
                 else
                     TILE_HALF_STEPS(__global, from_b, b_step, from_a, a_step, last - first)
-                __global real *target = c + (size_t)group * RT * n + panel * W;
                 EACH(WRITE)
             }
         }

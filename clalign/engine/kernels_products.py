@@ -19,10 +19,13 @@ DEPTH_PACKED = 512
 """Depth that one work-item packs."""
 
 PACK_ABOVE = 8
-"""Row groups above which packing the right side may pay for its extra launch."""
+"""Row groups above which packing a long right side pays for its extra launch."""
 
 PACK_LENGTH = 352
-"""Rows or columns above which a right side is packed: a smaller one is read well enough as it is."""
+"""Rows or columns above which a right side is long: a smaller one is read well enough as it is."""
+
+PACK_CROSSING = 200
+"""Row groups above which a right side is packed because loads from its rows cross cache lines."""
 
 GRAM_BLOCK = 128
 """Depth of a block of a Gram matrix on a CPU."""
@@ -213,8 +216,10 @@ class KernelProducts(KernelArrays):
         lanes = self.device.lanes
         group_count, panel_count = ceil_div(m, self._tile), ceil_div(n, lanes)
         # Loads from rows that are no whole number of vectors cross cache lines.
-        awkward = max(n, depth) > PACK_LENGTH or n % (lanes // 2) != 0
-        if transpose_b or (not transpose_a and group_count > PACK_ABOVE and awkward and n > lanes):
+        read_badly = (max(n, depth) > PACK_LENGTH and group_count > PACK_ABOVE) or (
+            n % (lanes // 2) != 0 and group_count > PACK_CROSSING
+        )
+        if transpose_b or (not transpose_a and n > lanes and read_badly):
             strides = (1, depth) if transpose_b else (n, 1)
             b, b_step, b_panel = self._pack_panels("right", b, n, depth, *strides), lanes, depth * lanes
         else:
