@@ -72,7 +72,7 @@ class Correspondence:
         already in those of the source.
     history : one entry an evaluation: round, evaluation, total, align, unsup, cycle, unitarity.
     losses : the terms at the kept point.
-    confidence : in [0, 1], by how much the chosen map beats the best different one.
+    confidence : in [0, 1], by how much the chosen map beats the best different one; NaN where none was looked for.
     orientation : from -1 (mirrored) to 1 (orientation kept).
     distortion : (n_x,) float64, local metric distortion of the map at every source vertex.
     alternatives : the best different maps, best first.

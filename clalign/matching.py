@@ -107,7 +107,7 @@ def _correspondence(
     source: Shape, target: Shape, pair: AlignedPair, backend: Backend, options: Options
 ) -> Correspondence:
     found = pair.search
-    confidence = 1.0 if found is None else 1.0 - float(np.exp(-found.confidence))
+    confidence = float("nan") if found is None else 1.0 - float(np.exp(-found.confidence))
     size = len(pair.functional)
     forward, backward = _in_file_numbering(source.mesh, target.mesh, pair.maps)
     faces, barycentric = _points_in_file_numbering(source.mesh, pair.points)

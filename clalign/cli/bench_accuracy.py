@@ -88,10 +88,10 @@ def _add(
     parser.add_argument(
         "--update", metavar="FILE", type=Path, help="put the table into the section of FILE named below"
     )
-    parser.add_argument("--section", metavar="NAME", default=name, help="of <!-- table:NAME --> (default: %(default)s)")
+    parser.add_argument("--section", metavar="NAME", help=f"of <!-- table:NAME --> (default: {name}, for whole lists)")
     parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON document")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, whole_section=name)
     return parser
 
 
@@ -132,6 +132,11 @@ def _bench(layouts: Sequence[Layout], args: argparse.Namespace) -> int:
 
     if args.distances not in METHODS:
         raise OptionError(f"--distances must be one of {', '.join(METHODS)}; got {args.distances!r}")
+    if args.update is not None and args.limit is not None and args.section is None:
+        raise OptionError(
+            f"--limit with --update would put a part of the pairs into the section {args.whole_section!r}, which is "
+            "for all of them: name another one with --section"
+        )
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
     limited = [layout.limited(args.limit) for layout in layouts]
     for layout in limited:
@@ -206,7 +211,7 @@ def _report(finished: Run, args: argparse.Namespace, terminal: Terminal) -> int:
         print(document, end="")
     _draw_curves(finished.records, args.out, terminal)
     if args.update is not None:
-        update_file(args.update, args.section, text)
+        update_file(args.update, args.section or args.whole_section, text)
     return 1 if any(record.failed for record in finished.records) or not finished.records else 0
 
 

@@ -10,6 +10,7 @@ from clalign.cli.bench_accuracy import EXIT_INTERRUPTED, option_changes, progres
 from clalign.cli.terminal import Terminal
 
 if TYPE_CHECKING:
+    from clalign.evaluation.layouts import Layout
     from clalign.evaluation.runner import Run
     from clalign.options import Options
 
@@ -35,11 +36,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("path", metavar="PATH", type=Path, help="folder of meshes, or of such folders")
+    parser.add_argument("path", metavar="PATH", nargs="?", type=Path, help="folder of meshes, or of such folders")
+    parser.add_argument(
+        "--root", metavar="DIR", type=Path, help="instead of PATH: a folder as of 'clalign bench faust'"
+    )
     parser.add_argument(
         "--of", metavar="NAMES", required=True, help="comma-separated: weight,band,xi,sizes,samples,rounds"
     )
-    parser.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
+    parser.add_argument(
+        "--pairs", metavar="FILE", help="a pairs file (default: all pairs*.txt in PATH), or as of 'bench faust'"
+    )
     parser.add_argument("--limit", metavar="N", type=int, help="only the first N pairs of each suite")
     parser.add_argument("--preset", metavar="NAME", default="default", help="what is varied (default: %(default)s)")
     parser.add_argument(
@@ -66,7 +72,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Run the studies of the command line; 1 when a pair has no map."""
-    from clalign.evaluation.layouts import humans
     from clalign.evaluation.runner import Measurement
     from clalign.evaluation.runner import run as run_pairs
     from clalign.evaluation.study import methods_of, settings_of
@@ -75,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
     base = Options.preset(args.preset).replace(option_changes(args))
     studies = {name: settings_of(name, base) for name in dict.fromkeys(word.strip() for word in args.of.split(","))}
-    layouts = [layout.limited(args.limit) for layout in humans(args.path, args.pairs)]
+    layouts = [layout.limited(args.limit) for layout in _layouts(args)]
     for layout in layouts:
         for problem in layout.problems:
             terminal.warn(problem)
@@ -99,6 +104,16 @@ def run(args: argparse.Namespace) -> int:
         failed |= any(record.failed for record in finished.records)
     terminal.document(documents)
     return 1 if failed else 0
+
+
+def _layouts(args: argparse.Namespace) -> tuple[Layout, ...]:
+    """Read the pairs of the command line."""
+    from clalign.errors import OptionError
+    from clalign.evaluation.layouts import faust, humans
+
+    if (args.path is None) == (args.root is None):
+        raise OptionError("name either a folder in the layout of the humans, or with --root one of FAUST's")
+    return humans(args.path, args.pairs) if args.root is None else faust(args.root, args.pairs or "intra")
 
 
 def _report(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,8 +20,9 @@ DEFAULT_FOLDER = Path("clalign-figures")
 
 _DESCRIPTION = """\
 Draw the paper's figures of a pair: a result folder of 'clalign match', two mesh files, or the bundled pair when nothing
-is named. Each becomes figure-N.png, figure-N.svg and figure-N.csv with the numbers. A folder of 'clalign bench' gives
-the error curves (--which 5) of all its pairs.
+is named. Each becomes figure-N.png, figure-N.svg and figure-N.csv with the numbers. Of a result that was matched with
+options of its own, figures 5, 7, 8 and 9 are not drawn: they compare it with variants of the default. A folder of
+'clalign bench' gives the error curves (--which 5) of all its pairs.
 """
 
 _EPILOG = """\
@@ -30,7 +32,7 @@ figures:
   3  |C~| from the truth with its funnel, and the mask                        (needs --truth)
   5  error curves of the method as printed, its variants and this program     (needs --truth; matches 5 times)
   6  matched colours
-  7  the paper's start, a mirrored result, and the search that avoids it      (needs --truth; matches 3 times)
+  7  the paper's start, a mirrored result, and the search that avoids it      (needs --truth; matches 4 times)
   8  one eigenfunction under the variants                                     (needs --truth; matches 3 times)
   9  err(k) of every eigenfunction: unaligned, aligned, cycle term, isometry  (needs --truth; matches 3 times)
 truth: as of 'clalign evaluate'; the bundled pair has its own
@@ -124,12 +126,18 @@ def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: 
     from clalign.errors import OptionError
     from clalign.presentation.figures.gallery import PLANS
 
-    lacking = [number for number in wanted if PLANS[number].needs_truth and not subject.has_truth]
-    if lacking and explicit:
-        raise OptionError(f"figure {', '.join(lacking)} cannot be drawn without --truth")
-    if lacking:
-        terminal.warn(f"without --truth there is no figure {', '.join(lacking)}")
-    return [number for number in wanted if number not in lacking]
+    plans = {number: PLANS[number] for number in wanted}
+    untrue = [number for number, plan in plans.items() if plan.needs_truth and not subject.has_truth]
+    unlike = [number for number, plan in plans.items() if plan.compares and not subject.comparable]
+    for numbers, why in (
+        (untrue, "without --truth"),
+        ([number for number in unlike if number not in untrue], "of a result with options of its own: name its meshes"),
+    ):
+        if numbers and explicit:
+            raise OptionError(f"figure {', '.join(numbers)} cannot be drawn {why}")
+        if numbers:
+            terminal.warn(f"there is no figure {', '.join(numbers)} {why}")
+    return [number for number in wanted if number not in untrue + unlike]
 
 
 def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
@@ -137,6 +145,7 @@ def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
     from clalign.errors import OptionError
     from clalign.evaluation.variants import VariantRuns
     from clalign.geometry.cache import ShapeCache
+    from clalign.options import Options
     from clalign.presentation.figures.gallery import MAIN, Subject
 
     if args.height < 20:
@@ -148,15 +157,20 @@ def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
         problem = _bundled()
     else:
         problem, known = _named(args)
+    changes = option_changes(args)
+    if known is not None and args.changes:
+        raise OptionError("--set changes nothing of a result that is there: name the two meshes instead")
+    default = Options()
+    comparable = known is None or dataclasses.replace(known.options, engine=default.engine, seed=0) == default
     runs = VariantRuns(
         problem,
-        option_changes(args),
+        changes,
         cache=None if args.no_cache else ShapeCache(),
         watch=_watch(terminal),
         known={} if known is None else {MAIN: known},
     )
     names = tuple(name.strip() for name in (args.variants or "").split(",") if name.strip())
-    return Subject(problem, runs, names, args.index, args.pair_index, args.height)
+    return Subject(problem, runs, names, args.index, args.pair_index, args.height, comparable)
 
 
 def _watch(terminal: Terminal) -> Callable[[str], Callable[[str, float, str], None]]:

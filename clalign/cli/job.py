@@ -228,7 +228,7 @@ def _show_summary(result: Correspondence, evaluation: Evaluation | None, folder:
         ("device", result.device),
         ("timings", stages),
         ("losses", losses),
-        ("confidence", f"{result.confidence:.2f} of 1{_orientation(result.orientation)}"),
+        ("confidence", f"{_confidence(result.confidence)}{_orientation(result.orientation)}"),
     ]
     if evaluation is not None:
         rows += _error_rows(evaluation)
@@ -240,6 +240,10 @@ def _show_summary(result: Correspondence, evaluation: Evaluation | None, folder:
     if evaluation is not None:
         document["evaluation"] = evaluation.as_dict()
     terminal.document(document)
+
+
+def _confidence(value: float) -> str:
+    return "not known, as no other map was looked for" if math.isnan(value) else f"{value:.2f} of 1"
 
 
 def _orientation(value: float) -> str:

@@ -116,7 +116,6 @@ def measure_kernels(
 
 def measure(kernels: Kernels, case: Case, repeats: int) -> KernelRate:
     """Time one case and its comparison in turn."""
-
     count = 1
 
     def on_device() -> None:

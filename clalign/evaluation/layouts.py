@@ -16,7 +16,7 @@ from .pairs import BenchmarkPair, Pair, TruthFiles
 MESH_SUFFIXES = (".ply", ".off", ".obj", ".stl")
 FAUST_MESHES = 100
 SHUFFLE_SEED = 20200
-MESH_FOLDERS = ("", "off", "offs", "shapes", "meshes")
+MESH_FOLDERS = ("", "off", "offs", "shapes", "meshes", "training/registrations")
 VTS_FOLDERS = ("corres", "../corres", "off/corres", "offs/corres")
 
 
@@ -95,7 +95,8 @@ def faust(root: str | Path, pairs: str | Path = "intra") -> tuple[Layout, ...]:
     """Read a user's copy of FAUST, its remeshed version, SCAPE or TOSCA, by what lies in the folder.
 
     ``tr_reg_*.ply`` are the registrations (identity truth), ``*.off`` with ``corres/*.vts`` a remeshed set (1-based
-    lines of the template) and ``*.off`` alone classes of one connectivity (``cat0.off``, ``cat1.off``: one class).
+    lines of the template) and ``*.off`` or ``*.ply`` alone classes of one connectivity (``cat0.off``, ``cat1.off``: one
+    class).
 
     Parameters
     ----------
@@ -110,9 +111,11 @@ def faust(root: str | Path, pairs: str | Path = "intra") -> tuple[Layout, ...]:
         No such folder or pairs file, or no mesh of a known layout.
     """
     folder = _existing_folder(root)
-    meshes = _first_meshes(folder, ".ply", "tr_reg_*") or _first_meshes(folder, ".off", "*")
+    meshes: dict[str, Path] = {}
+    for suffix, pattern in ((".ply", "tr_reg_*"), (".off", "*"), (".ply", "*")):
+        meshes = meshes or _first_meshes(folder, suffix, pattern)
     if not meshes:
-        raise ResultError(f"{folder}: no tr_reg_*.ply and no *.off here or in {', '.join(MESH_FOLDERS[1:])}")
+        raise ResultError(f"{folder}: no tr_reg_*.ply, *.off or *.ply here or in {', '.join(MESH_FOLDERS[1:])}")
     mesh_folder = next(iter(meshes.values())).parent
     corres = next((found for name in VTS_FOLDERS if (found := mesh_folder / name).is_dir()), None)
     corres = corres or next((found for name in VTS_FOLDERS if (found := folder / name).is_dir()), None)
@@ -225,6 +228,8 @@ def _first_against_others(folder: Path, name: str) -> Layout:
 
 def _human_truth(folder: Path, meshes: Iterable[str]) -> TruthFiles | dict[str, TruthFiles]:
     if not any(folder.glob("*.truth.txt")):
+        if (folder / "corres").is_dir():
+            raise ResultError(f"{folder}: the truth is in corres/*.vts, which 'clalign bench faust --root' reads")
         return _identity_truth(folder)
     mirror = _mirror_file(folder)
     return {name: TruthFiles("lines", folder / f"{name}.truth.txt", None, mirror) for name in meshes}

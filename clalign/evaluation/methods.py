@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -203,8 +204,8 @@ def outcome_of(result: Correspondence, seconds: float) -> Outcome:
         target_of_source=result.target_of_source,
         seconds=seconds,
         stages=result.timings,
-        confidence=result.confidence,
-        orientation=result.orientation,
+        confidence=None if math.isnan(result.confidence) else result.confidence,
+        orientation=None if math.isnan(result.orientation) else result.orientation,
         barycentric=barycentric,
     )
 

@@ -18,8 +18,8 @@ def notebook_html(correspondence: Correspondence) -> str:
     rows = [
         ("source", f"{source.name}, {source.n_vertices:,} vertices"),
         ("target", f"{target.name}, {target.n_vertices:,} vertices"),
-        ("confidence", f"{correspondence.confidence:.2f} of 1"),
-        ("orientation kept", f"{correspondence.orientation:+.2f}"),
+        ("confidence", _known(f"{correspondence.confidence:.2f} of 1")),
+        ("orientation kept", _known(f"{correspondence.orientation:+.2f}")),
         ("device", correspondence.device),
         ("time", f"{math.fsum(correspondence.timings.values()):.1f} s"),
     ]
@@ -31,3 +31,7 @@ def notebook_html(correspondence: Correspondence) -> str:
         f'<div><img alt="{caption}" src="data:image/png;base64,{picture}" style="max-width:100%">'
         f"<table>{table}</table></div>"
     )
+
+
+def _known(text: str) -> str:
+    return "–" if "nan" in text else text

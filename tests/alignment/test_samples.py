@@ -71,6 +71,19 @@ def test_with_all_vertices_the_functional_map_is_that_of_the_full_step(
     np.testing.assert_allclose(sample_functional_map(x, y, maps, 40), expected, atol=2e-5)
 
 
+def test_functions_that_live_between_the_samples_leave_a_finite_map(middle: PreparedPair, backend: Reference) -> None:
+    """More functions than samples: the sums over samples cannot tell them apart."""
+    x, y = (sampled_basis(backend, shape.basis, spread_samples(shape, 20, pieces=5)) for shape in middle[:2])
+    few = [dataclasses.replace(basis.samples, vertices=basis.samples.vertices[:12]) for basis in (x, y)]
+    x, y = (
+        sampled_basis(backend, shape.basis, dataclasses.replace(samples, weights=samples.weights[:12]))
+        for shape, samples in zip(middle[:2], few, strict=True)
+    )
+    functional = sample_functional_map(x, y, true_maps(middle, x.samples, y.samples), 40)
+    assert np.isfinite(functional).all()
+    assert np.linalg.norm(functional, 2) < 3.0
+
+
 @pytest.fixture
 def functional(rng: np.random.Generator) -> NDArray[np.float64]:
     """Singular values from 0.1 to 1.3."""

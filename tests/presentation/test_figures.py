@@ -214,7 +214,7 @@ def test_command_without_a_truth(folder: Path, capsys: pytest.CaptureFixture[str
     command = ["figures", str(folder / "result"), "--out", str(folder / "out"), "--height", "50"]
     assert main([*command]) == 0
     captured = capsys.readouterr()
-    assert "without --truth there is no figure 2, 3, 5, 7, 8, 9" in captured.err
+    assert "there is no figure 2, 3, 5, 7, 8, 9 without --truth" in captured.err
     assert sorted(path.name for path in (folder / "out").glob("*.png")) == ["figure-1.png", "figure-6.png"]
     assert main([*command, "--which", "1,9"]) == 2
     assert "figure 9 cannot be drawn without --truth" in capsys.readouterr().err

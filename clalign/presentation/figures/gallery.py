@@ -42,6 +42,7 @@ class Subject:
     index : number of the eigenfunction of Fig. 8.
     pair_index : number of the first eigenfunction of Fig. 2; None takes the pair that is turned most.
     height : of a panel of one shape, in pixels.
+    comparable : the match by the default method is one by the default options.
     """
 
     problem: Problem
@@ -50,6 +51,7 @@ class Subject:
     index: int = SHOWN_INDEX
     pair_index: int | None = None
     height: int = PANEL_HEIGHT
+    comparable: bool = True
 
     @property
     def result(self) -> Correspondence:
@@ -88,11 +90,13 @@ class Plan:
     title : what it shows.
     draw : draws it.
     needs_truth : nothing can be drawn without a truth.
+    compares : it shows variants of the default method beside each other.
     """
 
     title: str
     draw: Callable[[Subject], Drawing]
     needs_truth: bool = True
+    compares: bool = False
 
 
 def _curves(subject: Subject) -> Drawing:
@@ -133,19 +137,22 @@ PLANS: dict[str, Plan] = {
         lambda subject: draw_pair_rotation(subject.result, subject.maps, subject.pair_index, subject.height),
     ),
     "3": Plan("the true C̃ with its funnel", lambda subject: draw_funnel(subject.result, subject.maps)),
-    "5": Plan("error curves of the variants", _curves),
+    "5": Plan("error curves of the variants", _curves, compares=True),
     "6": Plan("matched colours", _matched, needs_truth=False),
-    "7": Plan("a mirrored result and the search that avoids it", _mirrored),
+    "7": Plan("a mirrored result and the search that avoids it", _mirrored, compares=True),
     "8": Plan(
         "one eigenfunction under the variants",
         lambda subject: draw_variants(subject.chosen(ALIGNED_VARIANTS), subject.maps, subject.index, subject.height),
+        compares=True,
     ),
-    "9": Plan("alignment error over the eigenfunctions", _spectral),
+    "9": Plan("alignment error over the eigenfunctions", _spectral, compares=True),
 }
 
 
 def draw_recorded_curves(folder: Path) -> Drawing:
     """Draw Fig. 5 from the folder of a benchmark: the mean curve over all pairs of each suite by each method.
+
+    Of a method that ran with several settings (versions, options, points) in one suite, the last ones count.
 
     Raises
     ------
@@ -155,7 +162,10 @@ def draw_recorded_curves(folder: Path) -> Drawing:
     groups: dict[str, list[Record]] = {}
     records = {record.key: record for record in read_records(folder / RECORDS_FILE)}
     suites = {record.suite for record in records.values()}
+    last = {(record.suite, record.method): record.settings for record in records.values()}
     for record in records.values():
+        if record.settings != last[record.suite, record.method]:
+            continue
         label = variant_label(record.method)
         groups.setdefault(label if len(suites) == 1 else f"{record.suite}: {label}", []).append(record)
     if not groups:
