@@ -60,7 +60,7 @@ class SpectrumOptions:
     smoothing : diffusion time of K before "power" and "regularized" take it, in units of the surface's area, at least
         0, for pairs of which a mesh is noisy; 0 takes it as it is, as the paper does.
     noisy_below : a mesh is noisy whose angle defects correlate less than this between neighbours, in [0, 1]; 1
-        smooths every mesh. Sampled surfaces without noise are above 0.3.
+        smooths every mesh. Sampled surfaces without noise are above 0.3; one whose flat faces were split is near 0.
     clamp : |K| is clamped to its [clamp, 1 - clamp] quantiles before the power, in [0, 0.5).
     epsilon : constant of "regularized", in units of 1/area.
     solver : "block" (shift-invert block Lanczos, written here) or "arpack" (the reference).

@@ -71,7 +71,7 @@ def _add(
         default="default",
         help="comma-separated: default, fast, cycle, isometric, heat-kernel, euclidean, regularized, auto-metric, "
         "one-sided, unitarity, frozen, uniform, full-band, diagonal-band, no-band, search-only, up-sampled, pieces, "
-        "closed-form, mirrored, paper, paper-searched, paper-cycle, paper-isometric, paper-heat-kernel, "
+        "aligned, closed-form, mirrored, paper, paper-searched, paper-cycle, paper-isometric, paper-heat-kernel, "
         "paper-one-sided, paper-mirrored, "
         "pyfm (default: %(default)s)",
     )

@@ -63,7 +63,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="result folder (default: %(default)s)",
     )
     parser.add_argument(
-        "--update", metavar="FILE", type=Path, help="put each table between <!-- table:study-NAME --> marks of FILE"
+        "--update", metavar="FILE", type=Path, help="put each table between <!-- table:SECTION-NAME --> marks of FILE"
+    )
+    parser.add_argument(
+        "--section", metavar="SECTION", default="study", help="of the marks in FILE (default: %(default)s)"
     )
     parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
     parser.add_argument("--json", action="store_true", help="print the summaries as one JSON document")
@@ -132,5 +135,5 @@ def _report(
         terminal.warn(failure)
     terminal.say(text)
     if args.update is not None:
-        update_file(args.update, f"study-{name}", text)
+        update_file(args.update, f"{args.section}-{name}", text)
     return [asdict(summary) for summary in summaries]

@@ -228,6 +228,7 @@ NAMED_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "search-only": ("default", {"alignment.rounds": 0, "readout.refine": "none", "readout.steps": 0}),
     "up-sampled": ("default", {"alignment.rounds": 0, "readout.refine": "upsample", "readout.steps": 0}),
     "pieces": ("default", {"alignment.rounds": 0, "readout.steps": 0}),
+    "aligned": ("default", {"readout.steps": 0}),
     "closed-form": ("default", {"alignment.rounds": 0}),
     "auto-metric": ("default", {"spectrum.metric": "auto"}),
     "mirrored": ("default", {"search.orientation": "reversing"}),

@@ -23,6 +23,7 @@ VARIANT_LABELS = {
     "cycle": "with the cycle term",
     "isometric": "isometry enforced",
     "heat-kernel": "heat-kernel metric",
+    "aligned": "no steps after the alignment",
     "mirrored": "from the mirror image",
     "one-sided": "one side only",
     "search-only": "search only",
