@@ -174,7 +174,7 @@ def piecewise_maps(
 
     grown = []
     for growth in GROWTHS:
-        larger = up_sampled(backend, source, target, functional, min(size, GROWN), growth, orders)
+        larger = up_sampled(backend, source, target, functional, min(size, GROWN), growth, orders, spread[1])
         started = nearest_samples(backend, low_x, low_y, (np.eye(len(larger)), orthogonalised(larger)))
         grown.append(settled(started, SETTLING))
     orientations = Orientations(low_x, low_y, source.orientation, target.orientation)

@@ -22,6 +22,7 @@ from clalign.alignment.maps import (
 )
 from clalign.alignment.nearness import Orders, VertexOrder, nearest_in_order
 from clalign.alignment.rotation import StartingRotation, starting_rotation
+from clalign.alignment.samples import Samples, spread_samples
 from clalign.alignment.search.batch import Level, SamplePair, up_sample
 from clalign.alignment.search.choice import map_scores
 from clalign.alignment.search.sampled import sampled
@@ -65,6 +66,7 @@ def up_sampled(
     size: int,
     growth: Growth = GROWTHS[0],
     orders: Orders | None = None,
+    samples: Samples | None = None,
 ) -> NDArray[np.float64]:
     """Return the functional map grown to `size` functions (ZoomOut on samples of Y against all vertices of X).
 
@@ -75,17 +77,17 @@ def up_sampled(
     ----------
     functional : (k, k), where to start.
     orders : of the vertices of both shapes, or None to make them.
+    samples : of the target, or None to make them.
     """
     order_x, order_y = orders or (
         VertexOrder.in_space(source.mesh.vertices),
         VertexOrder.in_space(target.mesh.vertices),
     )
-    samples = target.geodesics.samples[:UP_SAMPLING_QUERIES]
-    weights = target.geodesics.sample_weights(samples.size)
-    sorted_samples = np.argsort(order_y.places[samples])
-    samples, weights = samples[sorted_samples], weights[sorted_samples]
-    largest = min(size, source.basis.count, target.basis.count, samples.size // 2)
-    basis, functions = target.basis.functions[samples, :largest], source.basis.functions[order_x.vertices, :largest]
+    spread = samples or spread_samples(target, UP_SAMPLING_QUERIES)
+    placed = np.argsort(order_y.places[spread.vertices])
+    queried, weights = spread.vertices[placed], spread.weights[placed]
+    largest = min(size, source.basis.count, target.basis.count, queried.size // 2)
+    basis, functions = target.basis.functions[queried, :largest], source.basis.functions[order_x.vertices, :largest]
     weighted = basis * weights[:, None]
     gram = basis.T @ weighted
     kept = min(growth.start or len(functional), len(functional), largest)
@@ -94,7 +96,7 @@ def up_sampled(
         sizes = [kept, kept, *sizes]
     functional = functional[:kept, :kept]
     field_x, field_y = pointwise_fields(source, target, functional, growth.fields)
-    field_x, field_y = field_x[order_x.vertices], field_y[samples]
+    field_x, field_y = field_x[order_x.vertices], field_y[queried]
     index = None
     for wanted in sizes:
         current = len(functional)
@@ -116,7 +118,8 @@ def best_grown(
     Where the low functions leave a part open, different growths turn it differently; the score tells them apart.
     """
     orders = VertexOrder.in_space(source.mesh.vertices), VertexOrder.in_space(target.mesh.vertices)
-    grown = [up_sampled(backend, source, target, functional, size, growth, orders) for growth in GROWTHS]
+    samples = spread_samples(target, UP_SAMPLING_QUERIES)
+    grown = [up_sampled(backend, source, target, functional, size, growth, orders, samples) for growth in GROWTHS]
     pair = SamplePair(sampled(source), sampled(target), backend)
     level = pair.fit(Level(len(grown[0]), UP_SAMPLING_QUERIES, UP_SAMPLING_QUERIES))
     cut = np.array([each[: level.size, : level.size] for each in grown], dtype=np.float32)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.alignment.nearness import VertexOrder
+from clalign.alignment.samples import spread_samples
 from clalign.geometry.shape import Shape
 from clalign.options import AlignmentOptions
 
@@ -80,7 +81,7 @@ def aligned_side(
 def sampled_factors(shape: Shape, options: AlignmentOptions) -> SampledFactors:
     """Return the distance factors at the vertices of the losses.
 
-    All vertices when `options.samples` is 0 or not less than their number, else the first farthest-point samples,
+    All vertices when `options.samples` is 0 or not less than their number, else farthest-point samples,
     weighted by the areas of their cells: they depend on the surface alone, not on how its vertices are numbered.
     """
     count = shape.mesh.n_vertices
@@ -89,9 +90,8 @@ def sampled_factors(shape: Shape, options: AlignmentOptions) -> SampledFactors:
         vertices = np.arange(count)
         weights = np.full(count, 1.0 / count) if options.weights == "uniform" else shape.mass
     else:
-        wanted = min(options.samples, available)
-        vertices = shape.geodesics.samples[:wanted].astype(np.int64)
-        weights = shape.geodesics.sample_weights(wanted)
+        spread = spread_samples(shape, options.samples)
+        vertices, weights = spread.vertices, spread.weights
     left = shape.factors.left[vertices]
     gram = left.T @ (weights[:, None] * left)
     triangle = np.linalg.cholesky(gram + 1e-12 * np.trace(gram) * np.eye(len(gram)))
