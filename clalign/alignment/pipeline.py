@@ -17,6 +17,7 @@ from clalign.alignment.metric import choose_metric
 from clalign.alignment.pieces import piecewise_maps
 from clalign.alignment.problem import AlignmentProblem, Evaluation
 from clalign.alignment.refine import (
+    BoundSpectra,
     best_grown,
     closed_form_rotation,
     coherent_embeddings,
@@ -214,9 +215,13 @@ def _final_maps(
     """Return the maps after the last steps, and with the sub-vertex read-out the points that they stand for."""
     assert reached.alignment is not None
     backend, maps = problem.backend, reached.last or reached.alignment.maps
+    masses = (backend.array(side.mass) for side in descriptors)
+    spectra = BoundSpectra(*problem.descriptors, *masses)
     embedded = None
     for _ in range(options.readout.steps):
-        embedded = coherent_embeddings(backend, *descriptors, maps)
+        # Let go of the last ones before there are more.
+        embedded = None
+        embedded = coherent_embeddings(backend, spectra, maps)
         reached.last = maps = point_maps(backend, *embedded, problem.orders, maps)
     if not options.readout.subvertex:
         return maps, None

@@ -175,6 +175,11 @@ class AlignmentProblem:
         return rotation
 
     @property
+    def descriptors(self) -> tuple[Any, Any]:
+        """Φ̃ (n_x, d) and Ψ̃ (n_y, d), arrays of the backend."""
+        return self._descriptors_x, self._descriptors_y
+
+    @property
     def orders(self) -> Orders:
         """Orders of the vertices of both shapes."""
         return self.source.order, self.target.order

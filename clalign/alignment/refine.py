@@ -160,21 +160,44 @@ def closed_form_rotation(
     return starting_rotation(functional, band_mask(band), one_sided=one_sided)
 
 
-def coherent_embeddings(backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps) -> tuple[Any, Any]:
+@dataclass(frozen=True, eq=False)
+class BoundSpectra:
+    """Eigenfunctions of both shapes on a backend.
+
+    Attributes
+    ----------
+    source, target : (n_x, d) and (n_y, d).
+    source_mass, target_mass : (n_x,) and (n_y,), in which they are orthonormal.
+    """
+
+    source: Any
+    target: Any
+    source_mass: Any
+    target_mass: Any
+
+    @staticmethod
+    def of(backend: Backend, source: Spectrum, target: Spectrum) -> BoundSpectra:
+        """Bring the functions of two spectra to a backend."""
+        functions = backend.array(source.functions), backend.array(target.functions)
+        return BoundSpectra(*functions, backend.array(source.mass), backend.array(target.mass))
+
+
+def coherent_embeddings(backend: Backend, spectra: BoundSpectra, maps: PointMaps) -> tuple[Any, Any]:
     """Return the eigenfunctions of both shapes turned onto each other, weighted by coherence.
 
     Returns
     -------
     (n_x, d) and (n_y, d), arrays of the backend.
     """
-    x, y = backend.array(source.functions), backend.array(target.functions)
-    mass_x, mass_y = backend.array(source.mass), backend.array(target.mass)
-    directions = coherent_directions(two_way_least_squares(backend, x, y, mass_x, mass_y, maps))
+    x, y = spectra.source, spectra.target
+    functional = two_way_least_squares(backend, x, y, spectra.source_mass, spectra.target_mass, maps)
+    directions = coherent_directions(functional)
     return backend.product(x, backend.array(directions.source)), backend.product(y, backend.array(directions.target))
 
 
 def coherent_steps(backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps, steps: int) -> PointMaps:
     """Return the maps after `steps` two-way steps among the scale-invariant eigenfunctions, weighted by coherence."""
+    spectra = BoundSpectra.of(backend, source, target)
     for _ in range(steps):
-        maps = point_maps(backend, *coherent_embeddings(backend, source, target, maps), guess=maps)
+        maps = point_maps(backend, *coherent_embeddings(backend, spectra, maps), guess=maps)
     return maps
