@@ -57,10 +57,10 @@ KERNEL void row_dots(const int n, const int k, __global const real *a, __global 
     if (inverse) inverse[i] = total == ZERO ? ZERO : ONE / total;
 }
 
-KERNEL void reciprocal(const int n, __global const real *restrict s, __global real *restrict out)
+KERNEL void reciprocal(const int n, __global const real *s, __global real *out)
 {
-    const int i = get_global_id(0);
-    if (i < n) out[i] = s[i] == ZERO ? ZERO : ONE / s[i];
+    const int begin = get_global_id(0) * EB, end = min(begin + EB, n);
+    for (int i = begin; i < end; ++i) out[i] = s[i] == ZERO ? ZERO : ONE / s[i];
 }
 
 KERNEL void transpose(const int rows, const int columns, __global const real *restrict a, __global real *restrict out)

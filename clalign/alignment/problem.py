@@ -323,10 +323,9 @@ class AlignmentProblem:
         return value, slope, self._functional_gradient(back, self._basis_y, dz_back)
 
     def _packed_gradient(self, carried: Any, s: Any, dz: Any) -> Any:
-        """Return the gradient by the packed moments: Σ_j vech(c_j c_jᵀ) dz_jr / s_j."""
+        """Return the gradient by the packed moments: Σ_j vech(c_j c_jᵀ) dz_jr / s_j, without rows where s_j = 0."""
         backend = self.backend
-        inverse = backend.array(1.0 / backend.numpy(s).astype(np.float64))
-        return backend.scale_rows(backend.packed_moments(carried, inverse, dz), self._single)
+        return backend.scale_rows(backend.packed_moments(carried, backend.reciprocal(s), dz), self._single)
 
     def _unitarity(self, rotation: Any, turned: Any, gradient: Any) -> Any:
         """Return d² l_uni (Eq. 23); its penalty, if any, is added to `gradient`."""

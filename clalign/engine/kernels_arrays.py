@@ -96,6 +96,12 @@ class KernelArrays:
         self.device.launch(kernel, rows, rows, width, a, w, result)
         return result
 
+    def reciprocal(self, a: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
+        """1 / a, and 0 where a is 0."""
+        result = self._result("reciprocal", a.shape, out)
+        self._reciprocal(a, result)
+        return result
+
     def gather(self, a: DeviceArray, index: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
         """Rows of a named by index."""
         width = a.shape[1]
@@ -132,6 +138,11 @@ class KernelArrays:
         launch, kernel = self.device.launch, self.device.kernel
         launch(kernel("reduce", "partial_dots", RB=PART), parts, a.size, a, b, partial)
         launch(kernel("reduce", "finish_sum", RB=PART), 1, parts, scale, int(accumulate), partial, result)
+
+    def _reciprocal(self, a: DeviceArray, inverse: DeviceArray) -> None:
+        """Queue 1 / a, and 0 where a is 0, into as many leading elements of `inverse`."""
+        kernel = self.device.kernel("elementwise", "reciprocal", EB=ELEMENTS)
+        self.device.launch(kernel, ceil_div(a.size, ELEMENTS), a.size, a, inverse)
 
     def _row_dots(self, a: DeviceArray, b: DeviceArray, dots: DeviceArray, inverse: DeviceArray | None = None) -> None:
         """Queue dots[i] = a[i]·b[i] and its reciprocal (0 where it is 0)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -150,6 +151,42 @@ def test_single_precision_kernels_agree_with_the_reference(
     np.testing.assert_allclose(
         single.problem.functional_map(single.rotation), exact.problem.functional_map(exact.rotation), atol=1e-3
     )
+
+
+@pytest.mark.parametrize("distances", ["factors", "dense"])
+def test_a_vertex_without_functions_leaves_the_gradient_finite(
+    bind_small: Callable[..., Bound], rng: np.random.Generator, distances: str
+) -> None:
+    """A row φ_j = 0 gives c_j = 0 and s_j = 0: its column of the soft map is 0, and so is its slope."""
+    pair = bind_small({"alignment.cycle": True, "alignment.distances": distances})
+    source, target = pair.problem.source, pair.problem.target
+    basis = source.basis.copy()
+    basis[pair.problem.factors.vertices[3]] = 0
+    arguments = replace(source, basis=basis), target, pair.problem.factors
+    shared = pair.problem.band, pair.problem.backend, pair.problem.options
+    if isinstance(pair.problem, DenseProblem):
+        problem: AlignmentProblem = DenseProblem(*arguments, pair.problem.distances, *shared)
+    else:
+        problem = AlignmentProblem(*arguments, *shared)
+    frozen, x = started(pair._replace(problem=problem), rng)
+    evaluation = problem.value_and_gradient(x, frozen)
+    assert np.isfinite(evaluation.total)
+    assert np.isfinite(evaluation.gradient).all()
+
+
+def test_an_evaluation_moves_only_its_point_and_its_gradient(
+    bind_small: Callable[..., Bound], kernels: Backend, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    pair = bind_small({"alignment.cycle": True}, kernels)
+    frozen, x = started(pair, rng)
+    moved: list[tuple[str, int]] = []
+    array, numpy = type(kernels).array, type(kernels).numpy
+    monkeypatch.setattr(type(kernels), "array", lambda self, v: moved.append(("up", np.size(v))) or array(self, v))
+    monkeypatch.setattr(type(kernels), "numpy", lambda self, v: moved.append(("down", v.size)) or numpy(self, v))
+    pair.problem.value_and_gradient(x, frozen)
+    pair.problem.value_and_gradient(x, frozen)
+    # What the first evaluation uploads for good (tables of the band) is not uploaded again.
+    assert moved[-2:] == [("up", x.size), ("down", x.size)]
 
 
 def human_options() -> Options:

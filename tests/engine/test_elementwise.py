@@ -19,6 +19,18 @@ def test_match_twins(check, rng, shape):
     check("total", a, b)
 
 
+@pytest.mark.parametrize("count", [1, 97, 4096, 8193])
+def test_reciprocal_matches_its_twin_and_is_zero_at_zero(check, kernels: Kernels, rng, count):
+    values = rng.normal(size=count)
+    values[count // 2] = 0
+    (inverse,) = check("reciprocal", values)
+    assert inverse[count // 2] == 0
+    assert np.isfinite(inverse).all()
+    array = kernels.array(values)
+    assert kernels.reciprocal(array, out=array) is array
+    np.testing.assert_array_equal(kernels.numpy(array), kernels.numpy(kernels.reciprocal(kernels.array(values))))
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (97, 257), (1025, 5)])
 def test_half_squares_match_twin(check, rng, shape):
     check("half_squares", rng.normal(size=shape))
