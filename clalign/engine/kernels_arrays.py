@@ -42,6 +42,20 @@ def require_shapes(function: str, **pairs: tuple[tuple[int, ...], tuple[int, ...
             raise InputError(f"{function}: {name} has shape {given}, needed is {wanted}")
 
 
+def require_index(function: str, index: Any) -> None:
+    """Refuse an index that a kernel would read as something else than the int32 numbers that it is meant to be.
+
+    Raises
+    ------
+    InputError
+        `index` lies not on the device, or holds another type.
+    """
+    if not isinstance(index, DeviceArray):
+        raise InputError(f"{function}: index is of type {type(index).__name__}, needed is an array of the device")
+    if index.dtype != np.int32:
+        raise InputError(f"{function}: index holds {index.dtype.name}, needed is int32")
+
+
 class KernelArrays:
     """`backend.Arrays` on a device; see there for the formulas."""
 
@@ -104,6 +118,7 @@ class KernelArrays:
 
     def gather(self, a: DeviceArray, index: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
         """Rows of a named by index."""
+        require_index("gather", index)
         width = a.shape[1]
         result = self._result("gather", (*index.shape, width), out)
         kernel = self.device.kernel("elementwise", "gather_rows", EB=ELEMENTS)

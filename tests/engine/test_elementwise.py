@@ -51,6 +51,14 @@ def test_upload_and_download_keep_values_types_and_order(kernels: Kernels, rng):
     assert float(kernels.array(2.5)) == 2.5
 
 
+def test_only_whole_numbers_of_the_device_name_rows(kernels: Kernels):
+    a = kernels.zeros((4, 3))
+    with pytest.raises(InputError, match="gather: index holds float32, needed is int32"):
+        kernels.gather(a, kernels.zeros(2))
+    with pytest.raises(InputError, match="gather: index is of type ndarray, needed is an array of the device"):
+        kernels.gather(a, np.zeros(2, np.int32))
+
+
 def test_only_one_element_is_a_number(kernels: Kernels):
     with pytest.raises(TypeError, match="shape"):
         float(kernels.zeros((2,)))
