@@ -164,7 +164,7 @@ class KernelProducts(KernelArrays):
             return result
         tiles = ceil_div(m, self._tile) * ceil_div(n, self.device.lanes)
         wanted = 8 * self.device.facts.units * self.device.group
-        splits = min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_SPLIT))
+        splits, _ = equal_parts(rows, min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_SPLIT)))
         if splits <= 1:
             self._product(a, b, result, m, n, rows, True, False, weight=w)
             return result
@@ -255,9 +255,8 @@ class KernelProducts(KernelArrays):
         (depth, m), n = a.shape, b.shape[1]
         group_count, panel_count = ceil_div(m, tile), ceil_div(n, lanes)
         # Not by the number of units: a sum must be the same on one core and on many.
-        splits = min(max(2, min(GRAM_SPLITS, depth // GRAM_SPLIT)), ceil_div(depth, GRAM_BLOCK))
-        split_depth = ceil_div(depth, splits)
-        splits = ceil_div(depth, split_depth)
+        most = min(max(2, min(GRAM_SPLITS, depth // GRAM_SPLIT)), ceil_div(depth, GRAM_BLOCK))
+        splits, split_depth = equal_parts(depth, most)
         groups = ceil_div(group_count, min(group_count, ceil_div(units, splits)))
         parts = ceil_div(group_count, groups)
         packed = self.device.scratch("gram.packed", splits * parts * (panel_count * lanes + tile) * GRAM_BLOCK)
@@ -334,6 +333,15 @@ class KernelProducts(KernelArrays):
         if key not in self._constants:
             self._constants[key] = self.array(make(band, width))
         return self._constants[key]
+
+
+def equal_parts(length: int, most: int) -> tuple[int, int]:
+    """Cut a length into at most `most` parts, the last of them shorter: how many there are, and the size of the others.
+
+    No part is empty: nobody would write its sum, which is added to the others.
+    """
+    size = ceil_div(length, max(most, 1))
+    return ceil_div(length, size), size
 
 
 def panel_ranges(band: Band, width: int) -> NDArray[np.int32]:
