@@ -12,9 +12,11 @@
  * numpy twins: clalign.engine.reference_arrays.ReferenceArrays (same names; row_dots: numpy.sum(a * b, axis=1))
  */
 #ifndef EB
-#define EB 4096 /* elements of one work-item */
+#error "EB must be given: the elements of one work-item"
 #endif
-#define TB 16 /* rows and columns of a block of a transpose: what it reads and writes are whole cache lines */
+#ifndef TB
+#error "TB must be given: the rows and columns of a block of a transpose"
+#endif
 
 KERNEL void add(const int count, const real scale_a, const real scale_b, __global const real *a, __global const real *b,
                 __global real *out)

@@ -3,7 +3,6 @@
  * partial_dots: launch (parts); part p sums elements p RB .. (p + 1) RB - 1 into partial[p]
  * finish_sum:   launch (1); out[0] = scale * sum of partial (parts) [+ out[0] when accumulate], compensated (Kahan)
  * finish_rows:  launch (rows); out[i] = sum of partial[i, :] (rows, parts)
- * trace:        launch (1); out[0] = trace of a (d, d)
  * numpy twin: clalign.engine.reference_arrays.ReferenceArrays.total
  */
 #ifndef RB
@@ -57,12 +56,4 @@ KERNEL void finish_rows(const int rows, const int parts, __global const real *re
     real total = ZERO;
     for (int p = 0; p < parts; ++p) total += partial[(size_t)i * parts + p];
     out[i] = total;
-}
-
-KERNEL void trace(const int d, __global const real *restrict a, __global real *restrict out)
-{
-    if (get_global_id(0) > 0) return;
-    real total = ZERO;
-    for (int i = 0; i < d; ++i) total += a[(size_t)i * d + i];
-    out[0] = total;
 }

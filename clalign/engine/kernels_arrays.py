@@ -15,6 +15,9 @@ from .device import Device, DeviceArray
 ELEMENTS = 4096
 """Elements of one work-item of an elementwise kernel."""
 
+TRANSPOSED = 16
+"""Rows and columns of a block of a transpose: what it reads and writes are whole cache lines."""
+
 PART = 512
 """Elements of one part of a sum."""
 
@@ -97,7 +100,7 @@ class KernelArrays:
         """Return scale_a · a + scale_b · b."""
         require_shapes("add", b=(b.shape, a.shape))
         result = self._result("add", a.shape, out)
-        kernel = self.device.kernel("elementwise", "add", EB=ELEMENTS)
+        kernel = self._elementwise("add")
         self.device.launch(kernel, ceil_div(a.size, ELEMENTS), a.size, scale_a, scale_b, a, b, result)
         return result
 
@@ -106,7 +109,7 @@ class KernelArrays:
         require_shapes("scale_rows", w=(w.shape, a.shape[:1]))
         result = self._result("scale_rows", a.shape, out)
         rows, width = a.shape
-        kernel = self.device.kernel("elementwise", "scale_rows", EB=ELEMENTS)
+        kernel = self._elementwise("scale_rows")
         self.device.launch(kernel, rows, rows, width, a, w, result)
         return result
 
@@ -121,7 +124,7 @@ class KernelArrays:
         require_index("gather", index)
         width = a.shape[1]
         result = self._result("gather", (*index.shape, width), out)
-        kernel = self.device.kernel("elementwise", "gather_rows", EB=ELEMENTS)
+        kernel = self._elementwise("gather_rows")
         self.device.launch(kernel, index.size, index.size, width, a, index, result)
         return result
 
@@ -154,15 +157,19 @@ class KernelArrays:
         launch(kernel("reduce", "partial_dots", RB=PART), parts, a.size, a, b, partial)
         launch(kernel("reduce", "finish_sum", RB=PART), 1, parts, scale, int(accumulate), partial, result)
 
+    def _elementwise(self, function: str) -> Any:
+        """Return a kernel of ``elementwise.cl``, which is built once for all of them."""
+        return self.device.kernel("elementwise", function, EB=ELEMENTS, TB=TRANSPOSED)
+
     def _reciprocal(self, a: DeviceArray, inverse: DeviceArray) -> None:
         """Queue 1 / a, and 0 where a is 0, into as many leading elements of `inverse`."""
-        kernel = self.device.kernel("elementwise", "reciprocal", EB=ELEMENTS)
+        kernel = self._elementwise("reciprocal")
         self.device.launch(kernel, ceil_div(a.size, ELEMENTS), a.size, a, inverse)
 
     def _row_dots(self, a: DeviceArray, b: DeviceArray, dots: DeviceArray, inverse: DeviceArray | None = None) -> None:
         """Queue dots[i] = a[i]·b[i] and its reciprocal (0 where it is 0)."""
         rows, width = a.shape
-        kernel = self.device.kernel("elementwise", "row_dots", EB=ELEMENTS)
+        kernel = self._elementwise("row_dots")
         self.device.launch(kernel, rows, rows, width, a, b, dots, inverse)
 
     def _result(self, function: str, shape: tuple[int, ...], out: DeviceArray | None, dtype: Any = None) -> DeviceArray:

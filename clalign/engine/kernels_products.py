@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .backend import Band
 from .device import DeviceArray
-from .kernels_arrays import ELEMENTS, KernelArrays, ceil_div, require_shapes
+from .kernels_arrays import TRANSPOSED, KernelArrays, ceil_div, require_shapes
 
 DEPTH_BLOCK = 256
 """Depth of a block: a panel of it and the rows that meet it stay in the first cache."""
@@ -40,9 +40,6 @@ DEPTH_SPLIT = 512
 """Least depth of a part when a product is cut along its depth."""
 
 CHOLESKY_ITEMS = 8
-
-TRANSPOSED = 16
-"""Rows of the result of one work-item of a transpose: TB of ``elementwise.cl``."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +94,7 @@ class KernelProducts(KernelArrays):
         require_shapes("band_expand", values=(values.shape, (band.count,)))
         result = self._result("band_expand", (band.size, band.size), out)
         lower, offsets = self._band_tables(band)
-        kernel = self.device.kernel("elementwise", "band_expand", EB=ELEMENTS)
+        kernel = self._elementwise("band_expand")
         self.device.launch(kernel, band.size, band.size, lower, offsets, values, result)
         return result
 
@@ -106,7 +103,7 @@ class KernelProducts(KernelArrays):
         require_shapes("band_gather", matrix=(matrix.shape, (band.size, band.size)))
         result = self._result("band_gather", (band.count,), out)
         lower, offsets = self._band_tables(band)
-        kernel = self.device.kernel("elementwise", "band_gather", EB=ELEMENTS)
+        kernel = self._elementwise("band_gather")
         self.device.launch(kernel, band.size, band.size, lower, offsets, matrix, result)
         return result
 
@@ -142,7 +139,7 @@ class KernelProducts(KernelArrays):
         """aᵀ, stored row by row."""
         rows, columns = a.shape
         result = self._result("transpose", (columns, rows), out)
-        kernel = self.device.kernel("elementwise", "transpose", EB=ELEMENTS)
+        kernel = self._elementwise("transpose")
         self.device.launch(kernel, ceil_div(columns, TRANSPOSED), rows, columns, a, result)
         return result
 

@@ -43,6 +43,7 @@ def test_files_keep_the_rules(file: Path):
     assert len(text.splitlines()) < 250
     assert not re.search(r"\b(fma|vload\d|vstore\d|atomic\w*)\s*\(", code)
     assert not re.search(r"\b\d+\.\d*\b", code), "a literal with a decimal point is a double"
+    assert not re.search(r"^inline\b", code, flags=re.M), "a function of its own is compiled for shorter vectors"
     for signature in programs.SIGNATURE.findall(text):
         assert signature[0] in text.split("*/")[0], f"{signature[0]} is not described at the head of the file"
 
