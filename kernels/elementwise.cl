@@ -46,15 +46,7 @@ KERNEL void row_dots(const int n, const int k, __global const real *a, __global 
 {
     const int i = get_global_id(0);
     if (i >= n) return;
-    a += (size_t)i * k;
-    b += (size_t)i * k;
-    realv sums = 0;
-    int t = 0;
-    for (; t + V <= k; t += V) sums += LOAD(__global, a + t) * LOAD(__global, b + t);
-    const real *lanes = (const real *)&sums;
-    real total = ZERO;
-    for (int lane = 0; lane < V; ++lane) total += lanes[lane];
-    for (; t < k; ++t) total += a[t] * b[t];
+    const real total = dot_rows(a + (size_t)i * k, b + (size_t)i * k, k);
     dots[i] = total;
     if (inverse) inverse[i] = total == ZERO ? ZERO : ONE / total;
 }

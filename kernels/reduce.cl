@@ -26,26 +26,16 @@ KERNEL void partial_dots(const int count, __global const real *a, __global const
             sum1 += LOAD(__global, a + i + V);
         }
     }
-    sum0 += sum1;
-    /* The lanes in pairs, and what is left on its own: shorter chains of additions, smaller rounding error. */
-    real *lanes = (real *)&sum0;
-    for (int left = V / 2; left > 0; left /= 2)
-        for (int lane = 0; lane < left; ++lane) lanes[lane] += lanes[lane + left];
     real rest = ZERO;
     for (; i < end; ++i) rest += b ? a[i] * b[i] : a[i];
-    partial[get_global_id(0)] = lanes[0] + rest;
+    partial[get_global_id(0)] = lane_sum(sum0 + sum1) + rest;
 }
 
 KERNEL void finish_sum(const int parts, const real scale, const int accumulate, __global const real *restrict partial,
                        __global real *restrict out)
 {
     if (get_global_id(0) > 0) return;
-    real total = ZERO, lost = ZERO;
-    for (int p = 0; p < parts; ++p) {
-        const real term = partial[p] - lost, next = total + term;
-        lost = (next - total) - term;
-        total = next;
-    }
+    const real total = compensated_sum(parts, partial);
     out[0] = accumulate ? out[0] + scale * total : scale * total;
 }
 

@@ -83,3 +83,15 @@ def test_a_gram_matrix_is_the_sum_of_parts_that_were_all_written(rng):
     kernels.device.copy(kernels.array(np.full(partial.size, np.nan)), partial)
     result = kernels.numpy(kernels.weighted_gram(a, a, w))
     assert result[0, 0] == pytest.approx(np.sum(values.astype(np.float64) ** 2), rel=1e-5)
+
+
+@pytest.mark.parametrize("lanes", [8, 16])
+def test_sums_of_vectors_of_every_length(double_kernels, rng, lanes):
+    """Vectors of 4 and 8 doubles; the others here are of 8 and 16 floats."""
+    kernels = Kernels(Device(precision="double"))
+    kernels.device.lanes = lanes
+    a = rng.normal(size=(37, 29))
+    np.testing.assert_allclose(
+        kernels.numpy(kernels.half_squares(kernels.array(a))), 0.5 * np.sum(a * a, axis=1), rtol=1e-14
+    )
+    assert kernels.total(kernels.array(a), kernels.array(a)) == pytest.approx(np.sum(a * a), rel=1e-14)
