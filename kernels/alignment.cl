@@ -12,27 +12,6 @@
  * alignment_values: launch (1); g_y (d, d) one-sided, else NULL; numerator, denominator (1)
  * numpy twin: clalign.engine.reference_losses.ReferenceLosses.alignment
  */
-INLINE real lane_sum(realv sums)
-{
-    /* In pairs: a short chain of additions, a small rounding error. */
-    real *lanes = (real *)&sums;
-    for (int left = V / 2; left > 0; left /= 2)
-        for (int lane = 0; lane < left; ++lane) lanes[lane] += lanes[lane + left];
-    return lanes[0];
-}
-
-/* Sum of `count` values, compensated (Kahan). */
-INLINE real compensated_sum(const int count, __global const real *values)
-{
-    real total = ZERO, lost = ZERO;
-    for (int i = 0; i < count; ++i) {
-        const real term = values[i] - lost, next = total + term;
-        lost = (next - total) - term;
-        total = next;
-    }
-    return total;
-}
-
 KERNEL void band_rows(const int d, const real factor, __global const int *restrict lower, __global const int *restrict offsets,
                       __global const real *restrict r, __global const real *restrict other, __global real *restrict slope,
                       __global real *restrict partial)

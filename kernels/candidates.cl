@@ -27,7 +27,7 @@ KERNEL void transpose_maps(const int m, const int maps, __global const int *rest
     for (int i = 0; i < m; ++i) rows[(size_t)b * m + i] = index[(size_t)i * maps + b];
 }
 
-inline real error_of(const real x, const real y)
+INLINE real error_of(const real x, const real y)
 {
     const real difference = x - y;
 #if RELATIVE

@@ -10,18 +10,6 @@
 #define CHOLESKY_ITEMS 8 /* work-items of the one group that factorises */
 #endif
 
-INLINE real dot_rows(__global const real *x, __global const real *y, const int count)
-{
-    realv sums = 0;
-    int t = 0;
-    for (; t + V <= count; t += V) sums += LOAD(__global, x + t) * LOAD(__global, y + t);
-    const real *lanes = (const real *)&sums;
-    real total = ZERO;
-    for (int lane = 0; lane < V; ++lane) total += lanes[lane];
-    for (; t < count; ++t) total += x[t] * y[t];
-    return total;
-}
-
 KERNEL_OF(CHOLESKY_ITEMS) void factorise(const int k, const real ridge, __global const real *restrict gram,
                                          __global real *factor)
 {

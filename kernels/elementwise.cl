@@ -12,9 +12,11 @@
  * numpy twins: clalign.engine.reference_arrays.ReferenceArrays (same names; row_dots: numpy.sum(a * b, axis=1))
  */
 #ifndef EB
-#define EB 4096 /* elements of one work-item */
+#error "EB must be given: the elements of one work-item"
 #endif
-#define TB 16 /* rows and columns of a block of a transpose: what it reads and writes are whole cache lines */
+#ifndef TB
+#error "TB must be given: the rows and columns of a block of a transpose"
+#endif
 
 KERNEL void add(const int count, const real scale_a, const real scale_b, __global const real *a, __global const real *b,
                 __global real *out)
@@ -44,23 +46,15 @@ KERNEL void row_dots(const int n, const int k, __global const real *a, __global 
 {
     const int i = get_global_id(0);
     if (i >= n) return;
-    a += (size_t)i * k;
-    b += (size_t)i * k;
-    realv sums = 0;
-    int t = 0;
-    for (; t + V <= k; t += V) sums += LOAD(__global, a + t) * LOAD(__global, b + t);
-    const real *lanes = (const real *)&sums;
-    real total = ZERO;
-    for (int lane = 0; lane < V; ++lane) total += lanes[lane];
-    for (; t < k; ++t) total += a[t] * b[t];
+    const real total = dot_rows(a + (size_t)i * k, b + (size_t)i * k, k);
     dots[i] = total;
     if (inverse) inverse[i] = total == ZERO ? ZERO : ONE / total;
 }
 
-KERNEL void reciprocal(const int n, __global const real *restrict s, __global real *restrict out)
+KERNEL void reciprocal(const int n, __global const real *s, __global real *out)
 {
-    const int i = get_global_id(0);
-    if (i < n) out[i] = s[i] == ZERO ? ZERO : ONE / s[i];
+    const int begin = get_global_id(0) * EB, end = min(begin + EB, n);
+    for (int i = begin; i < end; ++i) out[i] = s[i] == ZERO ? ZERO : ONE / s[i];
 }
 
 KERNEL void transpose(const int rows, const int columns, __global const real *restrict a, __global real *restrict out)

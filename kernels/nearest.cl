@@ -31,7 +31,7 @@
 #define ABSOLUTE 0
 #endif
 #ifndef BOUND
-#define BOUND 48 /* steps between two checks */
+#error "BOUND must be given: the steps between two checks"
 #endif
 #ifndef TRIAL
 #define TRIAL 32 /* panels after which checks stop, if tiles were given up too seldom or too late to pay for them */

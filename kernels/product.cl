@@ -10,8 +10,8 @@
  *              a, b reals; c (splits, m, n): split s sums depth s * split_depth .. (s + 1) * split_depth - 1;
  *              each (*, 2) int or NULL, first and last + 1: left_depths (row groups) and right_depths (column panels), the
  *              depth with anything in them; kept (column panels), the rows of C that are wanted of that panel
- * pack_panels: launch (column panels, ceil(depth / DP)); out (column panels, depth, W) = b[t rs + j cs], zero beyond
- *              column n
+ * pack_panels: launch (column panels, ceil(depth / DP)); out (column panels, depth, W) = b[t b_row + j b_column], zero
+ *              beyond column n
  * pack_tiles:  launch (tiles, ceil(depth / DP)); out (tiles, depth, RT) = weight[t] b[t, j] for row-major b
  *              (depth, n); weight (depth) or NULL; columns beyond n are of no meaning
  * sum_splits:  launch (m n): c = scale * sum over splits of partial (splits, m n) [+ c]

@@ -3,7 +3,6 @@
  * partial_dots: launch (parts); part p sums elements p RB .. (p + 1) RB - 1 into partial[p]
  * finish_sum:   launch (1); out[0] = scale * sum of partial (parts) [+ out[0] when accumulate], compensated (Kahan)
  * finish_rows:  launch (rows); out[i] = sum of partial[i, :] (rows, parts)
- * trace:        launch (1); out[0] = trace of a (d, d)
  * numpy twin: clalign.engine.reference_arrays.ReferenceArrays.total
  */
 #ifndef RB
@@ -27,26 +26,16 @@ KERNEL void partial_dots(const int count, __global const real *a, __global const
             sum1 += LOAD(__global, a + i + V);
         }
     }
-    sum0 += sum1;
-    /* The lanes in pairs, and what is left on its own: shorter chains of additions, smaller rounding error. */
-    real *lanes = (real *)&sum0;
-    for (int left = V / 2; left > 0; left /= 2)
-        for (int lane = 0; lane < left; ++lane) lanes[lane] += lanes[lane + left];
     real rest = ZERO;
     for (; i < end; ++i) rest += b ? a[i] * b[i] : a[i];
-    partial[get_global_id(0)] = lanes[0] + rest;
+    partial[get_global_id(0)] = lane_sum(sum0 + sum1) + rest;
 }
 
 KERNEL void finish_sum(const int parts, const real scale, const int accumulate, __global const real *restrict partial,
                        __global real *restrict out)
 {
     if (get_global_id(0) > 0) return;
-    real total = ZERO, lost = ZERO;
-    for (int p = 0; p < parts; ++p) {
-        const real term = partial[p] - lost, next = total + term;
-        lost = (next - total) - term;
-        total = next;
-    }
+    const real total = compensated_sum(parts, partial);
     out[0] = accumulate ? out[0] + scale * total : scale * total;
 }
 
@@ -57,12 +46,4 @@ KERNEL void finish_rows(const int rows, const int parts, __global const real *re
     real total = ZERO;
     for (int p = 0; p < parts; ++p) total += partial[(size_t)i * parts + p];
     out[i] = total;
-}
-
-KERNEL void trace(const int d, __global const real *restrict a, __global real *restrict out)
-{
-    if (get_global_id(0) > 0) return;
-    real total = ZERO;
-    for (int i = 0; i < d; ++i) total += a[(size_t)i * d + i];
-    out[0] = total;
 }

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from clalign.alignment.problem import AlignmentProblem, Distortions
 from clalign.alignment.views import AlignedSide, SampledFactors
 from clalign.engine.backend import Backend, Band
+from clalign.engine.reference_arrays import reciprocal
 from clalign.errors import OptionError
 from clalign.geometry.geodesics import all_pairs
 from clalign.geometry.shape import Shape
@@ -62,7 +63,7 @@ class DenseSoftMap:
 
     Attributes
     ----------
-    matrix : (rows, columns) P, w_i q_ij² / s_j: every column sums to 1.
+    matrix : (rows, columns) P, w_i q_ij² / s_j: every column sums to 1, or is 0 where s_j is.
     slopes : (rows, columns) 2 w_i q_ij / s_j, with Q = Ψ C Φᵀ.
     rows, columns : (rows, k) and (columns, k'), the basis functions Ψ and Φ.
     """
@@ -83,7 +84,8 @@ class DenseSoftMap:
         products = rows @ functional @ columns.T
         weighted = weights[:, None] * products
         sums = np.einsum("ij,ij->j", weighted, products)
-        return DenseSoftMap(weighted * products / sums, 2.0 * weighted / sums, rows, columns)
+        inverse = reciprocal(sums)
+        return DenseSoftMap(weighted * products * inverse, 2.0 * weighted * inverse, rows, columns)
 
     def gradient(self, slope: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the gradient by the functional map from that by P, through the normalisation of the columns."""

@@ -23,6 +23,7 @@ from clalign.options import Options
 
 from .growth_cost import growth_operations, pieces_are_grown
 from .metric import EXPONENTS
+from .soft_forms import evaluation_cost
 
 _DOUBLE, _INDEX = 8, 4
 
@@ -260,8 +261,10 @@ def _seconds(size: Sizes, options: Options, cores: int) -> dict[str, float]:
             eigen += _eigensolver_seconds(vertices, count)
         rows += vertices * affordable_samples(vertices, options.geodesics.search_samples, size.rows)
     evaluations = options.alignment.rounds * (options.alignment.iterations + 3) + 1
-    # Value and gradient: three passes over the packed pairs, each a multiplication and an addition.
-    evaluation = 6.0 * size.losses * size.basis**2 / 2 * size.rank + 20.0 * size.descriptors**2 * size.basis
+    soft_map = evaluation_cost(size.losses, size.target, size.basis, size.rank)
+    # A multiplication and an addition each, and half as much again for the products around the soft map.
+    evaluation = 3.0 * (soft_map[0] if options.alignment.cycle else min(soft_map))
+    evaluation += 20.0 * size.descriptors**2 * size.basis
     read_outs = 2 + options.alignment.rounds + options.readout.steps
     functions = size.descriptors * read_outs + (0 if pieces_are_grown(options) else size.functions)
     nearest = 4.0 * size.source * size.target * functions / math.sqrt(max(min(size.source, size.target) / SPARED, 1.0))

@@ -5,7 +5,7 @@ objective is Eq. 24, or Eq. 32 with the cycle term:
 
     l(R) = l_align(R) + λ l_unsup(R)          l(R) = l_align(R) + λ (l_unsup(R) + l_cyc(R)) / 2.
 
-Nothing of size n × n is made: P enters through Z = PᵀU, a quadratic form in c_j, distances through low-rank factors.
+Nothing of size n × n is made: P enters through Z = PᵀU (`soft_forms`), distances through low-rank factors.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from clalign.engine.backend import Backend, Band
 from clalign.options import AlignmentOptions
 
 from .nearness import Orders
+from .soft_forms import QuadraticForm, SoftForm, cheaper_form, quadratic_form
 from .views import AlignedSide, SampledFactors
 
 RIDGE = 1e-6
@@ -81,10 +82,8 @@ class Distortions:
 class _SoftMapState:
     """Intermediate arrays of one soft map that its gradient needs again."""
 
-    functional: Any
     carried: Any
-    packed: Any
-    normal: Any
+    form: SoftForm
     z: Any
     s: Any
 
@@ -132,18 +131,16 @@ class AlignmentProblem:
         self._left, self._core_x = array(factors.left), array(factors.core)
         self._weights = array(factors.weights)
         self._core_y = array(target.core)
-        self._basis_y, self._soft_weights_y = array(target.basis), array(target.soft_weights)
-        self._left_y = array(target.left)
-        self._packed_y = backend.packed_moments(self._basis_y, self._soft_weights_y, self._left_y)
+        if not self.options.cycle:
+            self._form_y = cheaper_form(backend, target, len(factors.vertices))
+            return
+        # Its gradient goes through packed moments.
+        self._form_y, self._form_x = quadratic_form(backend, target), quadratic_form(backend, source)
         self._normal_y = None if target.normal is None else array(target.normal)
-        if self.options.cycle:
-            self._basis_x = array(source.basis)
-            self._normal_x = None if source.normal is None else array(source.normal)
-            self._packed_x = backend.packed_moments(self._basis_x, array(source.soft_weights), array(source.left))
-            self._core_all_x = array(source.core)
-            size = source.basis.shape[1]
-            first, second = np.triu_indices(size)
-            self._single = array(np.where(first == second, 1.0, 0.5))
+        self._basis_y, self._soft_weights_y = array(target.basis), array(target.soft_weights)
+        self._core_all_x = array(source.core)
+        first, second = np.triu_indices(source.basis.shape[1])
+        self._single = array(np.where(first == second, 1.0, 0.5))
 
     def start_round(self, rotation: NDArray[np.float64], target_of_source: NDArray[np.int64], weight: float) -> Round:
         """Freeze the hard map `target_of_source` (n_x,) and the denominator at `rotation` (d, d)."""
@@ -273,14 +270,13 @@ class AlignmentProblem:
         for left, right in parts:
             self.backend.banded_product(left, right, kept=self.band, scale=weight, accumulate=True, out=gradient)
 
-    def _soft_map(self, functional: Any, basis: Any, packed: Any, normal: Any) -> _SoftMapState:
+    def _soft_map(self, functional: Any, basis: Any, form: SoftForm) -> _SoftMapState:
         carried = self.backend.product(basis, functional, transpose_b=True)
-        z, s = self.backend.soft_map(carried, packed, normal)
-        return _SoftMapState(functional, carried, packed, normal, z, s)
+        return _SoftMapState(carried, form, *form.forward(self.backend, carried))
 
     def _functional_gradient(self, state: _SoftMapState, basis: Any, dz: Any) -> Any:
         """Return dC = Σ_j dc_j φ_jᵀ."""
-        dc = self.backend.soft_map_gradient(state.carried, state.packed, state.normal, state.z, state.s, dz)
+        dc = state.form.gradient(self.backend, state.carried, state.z, state.s, dz)
         return self.backend.product(dc, basis, transpose_a=True)
 
     def _align(self, rotation: Any, turned: Any, frozen: Round) -> tuple[Any, Any]:
@@ -307,7 +303,7 @@ class AlignmentProblem:
     def _distortions(self, functional: Any, functional_back: Any) -> Distortions:
         """Return Eq. 22 at C and, given the map back, Eq. 31, with their gradients."""
         backend = self.backend
-        state = self._soft_map(functional, self._sampled_basis, self._packed_y, self._normal_y)
+        state = self._soft_map(functional, self._sampled_basis, self._form_y)
         unsup, dz = backend.distortion(state.z, self._core_y, self._left, self._core_x, self._weights)
         slope = self._functional_gradient(state, self._sampled_basis, dz)
         if functional_back is None:
@@ -321,21 +317,20 @@ class AlignmentProblem:
         P̃ goes from Y to X: Z̃ = P̃ᵀU_X on all of Y, then PᵀZ̃ on the samples of X, with moments rebuilt from Z̃.
         """
         backend = self.backend
-        back = self._soft_map(functional_back, self._basis_y, self._packed_x, self._normal_x)
-        packed = backend.packed_moments(self._basis_y, self._soft_weights_y, back.z)
-        z, s = backend.soft_map(there.carried, packed, there.normal)
+        back = self._soft_map(functional_back, self._basis_y, self._form_x)
+        around = QuadraticForm(backend.packed_moments(self._basis_y, self._soft_weights_y, back.z), self._normal_y)
+        z, s = around.forward(backend, there.carried)
         value, dz = backend.distortion(z, self._core_all_x, self._left, self._core_x, self._weights)
-        state = _SoftMapState(there.functional, there.carried, packed, there.normal, z, s)
+        state = _SoftMapState(there.carried, around, z, s)
         slope = self._functional_gradient(state, self._sampled_basis, dz)
         dpacked = self._packed_gradient(there.carried, s, dz)
         dz_back = backend.packed_moments_gradient(self._basis_y, self._soft_weights_y, dpacked)
         return value, slope, self._functional_gradient(back, self._basis_y, dz_back)
 
     def _packed_gradient(self, carried: Any, s: Any, dz: Any) -> Any:
-        """Return the gradient by the packed moments: Σ_j vech(c_j c_jᵀ) dz_jr / s_j."""
+        """Return the gradient by the packed moments: Σ_j vech(c_j c_jᵀ) dz_jr / s_j, without rows where s_j = 0."""
         backend = self.backend
-        inverse = backend.array(1.0 / backend.numpy(s).astype(np.float64))
-        return backend.scale_rows(backend.packed_moments(carried, inverse, dz), self._single)
+        return backend.scale_rows(backend.packed_moments(carried, backend.reciprocal(s), dz), self._single)
 
     def _unitarity(self, rotation: Any, turned: Any, gradient: Any) -> Any:
         """Return d² l_uni (Eq. 23); its penalty, if any, is added to `gradient`."""

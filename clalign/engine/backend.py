@@ -112,6 +112,9 @@ class Arrays(Protocol):
     def scale_rows(self, a: Array, w: Array, *, out: Array = None) -> Array:
         """diag(w) a for a (n, k) and w (n,); `out` may be `a`."""
 
+    def reciprocal(self, a: Array, *, out: Array = None) -> Array:
+        """1 / a elementwise, and 0 where a is 0; `out` may be `a`."""
+
     def gather(self, a: Array, index: Array, *, out: Array = None) -> Array:
         """Rows of a (n, k) named by index (any shape, int32): shape index.shape + (k,)."""
 

@@ -15,6 +15,9 @@ from .device import Device, DeviceArray
 ELEMENTS = 4096
 """Elements of one work-item of an elementwise kernel."""
 
+TRANSPOSED = 16
+"""Rows and columns of a block of a transpose: what it reads and writes are whole cache lines."""
+
 PART = 512
 """Elements of one part of a sum."""
 
@@ -40,6 +43,20 @@ def require_shapes(function: str, **pairs: tuple[tuple[int, ...], tuple[int, ...
     for name, (given, wanted) in pairs.items():
         if given != wanted:
             raise InputError(f"{function}: {name} has shape {given}, needed is {wanted}")
+
+
+def require_index(function: str, index: Any) -> None:
+    """Refuse an index that a kernel would read as something else than the int32 numbers that it is meant to be.
+
+    Raises
+    ------
+    InputError
+        `index` lies not on the device, or holds another type.
+    """
+    if not isinstance(index, DeviceArray):
+        raise InputError(f"{function}: index is of type {type(index).__name__}, needed is an array of the device")
+    if index.dtype != np.int32:
+        raise InputError(f"{function}: index holds {index.dtype.name}, needed is int32")
 
 
 class KernelArrays:
@@ -83,7 +100,7 @@ class KernelArrays:
         """Return scale_a · a + scale_b · b."""
         require_shapes("add", b=(b.shape, a.shape))
         result = self._result("add", a.shape, out)
-        kernel = self.device.kernel("elementwise", "add", EB=ELEMENTS)
+        kernel = self._elementwise("add")
         self.device.launch(kernel, ceil_div(a.size, ELEMENTS), a.size, scale_a, scale_b, a, b, result)
         return result
 
@@ -92,15 +109,22 @@ class KernelArrays:
         require_shapes("scale_rows", w=(w.shape, a.shape[:1]))
         result = self._result("scale_rows", a.shape, out)
         rows, width = a.shape
-        kernel = self.device.kernel("elementwise", "scale_rows", EB=ELEMENTS)
+        kernel = self._elementwise("scale_rows")
         self.device.launch(kernel, rows, rows, width, a, w, result)
+        return result
+
+    def reciprocal(self, a: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
+        """1 / a, and 0 where a is 0."""
+        result = self._result("reciprocal", a.shape, out)
+        self._reciprocal(a, result)
         return result
 
     def gather(self, a: DeviceArray, index: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
         """Rows of a named by index."""
+        require_index("gather", index)
         width = a.shape[1]
         result = self._result("gather", (*index.shape, width), out)
-        kernel = self.device.kernel("elementwise", "gather_rows", EB=ELEMENTS)
+        kernel = self._elementwise("gather_rows")
         self.device.launch(kernel, index.size, index.size, width, a, index, result)
         return result
 
@@ -133,10 +157,19 @@ class KernelArrays:
         launch(kernel("reduce", "partial_dots", RB=PART), parts, a.size, a, b, partial)
         launch(kernel("reduce", "finish_sum", RB=PART), 1, parts, scale, int(accumulate), partial, result)
 
+    def _elementwise(self, function: str) -> Any:
+        """Return a kernel of ``elementwise.cl``, which is built once for all of them."""
+        return self.device.kernel("elementwise", function, EB=ELEMENTS, TB=TRANSPOSED)
+
+    def _reciprocal(self, a: DeviceArray, inverse: DeviceArray) -> None:
+        """Queue 1 / a, and 0 where a is 0, into as many leading elements of `inverse`."""
+        kernel = self._elementwise("reciprocal")
+        self.device.launch(kernel, ceil_div(a.size, ELEMENTS), a.size, a, inverse)
+
     def _row_dots(self, a: DeviceArray, b: DeviceArray, dots: DeviceArray, inverse: DeviceArray | None = None) -> None:
         """Queue dots[i] = a[i]·b[i] and its reciprocal (0 where it is 0)."""
         rows, width = a.shape
-        kernel = self.device.kernel("elementwise", "row_dots", EB=ELEMENTS)
+        kernel = self._elementwise("row_dots")
         self.device.launch(kernel, rows, rows, width, a, b, dots, inverse)
 
     def _result(self, function: str, shape: tuple[int, ...], out: DeviceArray | None, dtype: Any = None) -> DeviceArray:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .backend import Band
 from .device import DeviceArray
-from .kernels_arrays import ELEMENTS, KernelArrays, ceil_div, require_shapes
+from .kernels_arrays import TRANSPOSED, KernelArrays, ceil_div, require_shapes
 
 DEPTH_BLOCK = 256
 """Depth of a block: a panel of it and the rows that meet it stay in the first cache."""
@@ -40,9 +40,6 @@ DEPTH_SPLIT = 512
 """Least depth of a part when a product is cut along its depth."""
 
 CHOLESKY_ITEMS = 8
-
-TRANSPOSED = 16
-"""Rows of the result of one work-item of a transpose: TB of ``elementwise.cl``."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +94,7 @@ class KernelProducts(KernelArrays):
         require_shapes("band_expand", values=(values.shape, (band.count,)))
         result = self._result("band_expand", (band.size, band.size), out)
         lower, offsets = self._band_tables(band)
-        kernel = self.device.kernel("elementwise", "band_expand", EB=ELEMENTS)
+        kernel = self._elementwise("band_expand")
         self.device.launch(kernel, band.size, band.size, lower, offsets, values, result)
         return result
 
@@ -106,7 +103,7 @@ class KernelProducts(KernelArrays):
         require_shapes("band_gather", matrix=(matrix.shape, (band.size, band.size)))
         result = self._result("band_gather", (band.count,), out)
         lower, offsets = self._band_tables(band)
-        kernel = self.device.kernel("elementwise", "band_gather", EB=ELEMENTS)
+        kernel = self._elementwise("band_gather")
         self.device.launch(kernel, band.size, band.size, lower, offsets, matrix, result)
         return result
 
@@ -142,7 +139,7 @@ class KernelProducts(KernelArrays):
         """aᵀ, stored row by row."""
         rows, columns = a.shape
         result = self._result("transpose", (columns, rows), out)
-        kernel = self.device.kernel("elementwise", "transpose", EB=ELEMENTS)
+        kernel = self._elementwise("transpose")
         self.device.launch(kernel, ceil_div(columns, TRANSPOSED), rows, columns, a, result)
         return result
 
@@ -164,7 +161,7 @@ class KernelProducts(KernelArrays):
             return result
         tiles = ceil_div(m, self._tile) * ceil_div(n, self.device.lanes)
         wanted = 8 * self.device.facts.units * self.device.group
-        splits = min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_SPLIT))
+        splits, _ = equal_parts(rows, min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_SPLIT)))
         if splits <= 1:
             self._product(a, b, result, m, n, rows, True, False, weight=w)
             return result
@@ -255,9 +252,8 @@ class KernelProducts(KernelArrays):
         (depth, m), n = a.shape, b.shape[1]
         group_count, panel_count = ceil_div(m, tile), ceil_div(n, lanes)
         # Not by the number of units: a sum must be the same on one core and on many.
-        splits = min(max(2, min(GRAM_SPLITS, depth // GRAM_SPLIT)), ceil_div(depth, GRAM_BLOCK))
-        split_depth = ceil_div(depth, splits)
-        splits = ceil_div(depth, split_depth)
+        most = min(max(2, min(GRAM_SPLITS, depth // GRAM_SPLIT)), ceil_div(depth, GRAM_BLOCK))
+        splits, split_depth = equal_parts(depth, most)
         groups = ceil_div(group_count, min(group_count, ceil_div(units, splits)))
         parts = ceil_div(group_count, groups)
         packed = self.device.scratch("gram.packed", splits * parts * (panel_count * lanes + tile) * GRAM_BLOCK)
@@ -334,6 +330,15 @@ class KernelProducts(KernelArrays):
         if key not in self._constants:
             self._constants[key] = self.array(make(band, width))
         return self._constants[key]
+
+
+def equal_parts(length: int, most: int) -> tuple[int, int]:
+    """Cut a length into at most `most` parts, the last of them shorter: how many there are, and the size of the others.
+
+    No part is empty: nobody would write its sum, which is added to the others.
+    """
+    size = ceil_div(length, max(most, 1))
+    return ceil_div(length, size), size
 
 
 def panel_ranges(band: Band, width: int) -> NDArray[np.int32]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .device import DeviceArray
-from .kernels_arrays import ELEMENTS, ceil_div, require_shapes
+from .kernels_arrays import ceil_div, require_shapes
 from .kernels_products import KernelProducts
 from .reference_soft import pair_count, pair_factor
 
@@ -147,7 +147,8 @@ class KernelSoftMaps(KernelProducts):
         result = self._result("soft_map_streamed_gradient", (n, k), out)
         removed = self.device.scratch("removed", self._padded(n))
         self._row_dots(dz, z, removed)
-        inverse = self._reciprocal(s)
+        inverse = self.device.scratch("inverse", self._padded(n))
+        self._reciprocal(s, inverse)
         ct = self._pack_panels("c", c, n, k, 1, k)
         dzt = self._pack_panels("dz", dz, n, r, 1, r)
         panels = ceil_div(n, self.device.lanes)
@@ -189,14 +190,6 @@ class KernelSoftMaps(KernelProducts):
         kept = self.device.scratch("normal", n * k)
         self._product(c, normal, kept, n, k, k, False, False)
         return kept.leading((n, k))
-
-    def _reciprocal(self, s: DeviceArray) -> DeviceArray:
-        """Queue 1 / s_j, 0 where s_j is 0."""
-        n = s.size
-        inverse = self.device.scratch("inverse", self._padded(n))
-        kernel = self.device.kernel("elementwise", "reciprocal", EB=ELEMENTS)
-        self.device.launch(kernel, n, n, s, inverse)
-        return inverse
 
     def _sums(self, panels: int, width: int) -> DeviceArray:
         """Scratch (panels, width, lanes) in which sums wait between blocks."""

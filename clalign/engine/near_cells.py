@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.errors import InputError
+
 from .backend import Backend
 
 PROBES = 16
@@ -29,7 +31,13 @@ def nearest_in_cells(
     Parameters
     ----------
     probes : cells to look into: fewer cost less and miss more. With as many as there are cells, p, nothing is missed.
+
+    Raises
+    ------
+    InputError
+        A query or a point is not finite: it is near to nothing.
     """
+    _require_finite(queries=queries, points=points)
     count = max(1, min(len(points), round((len(points) * probes) ** 0.5)))
     half = 0.5 * np.einsum("pk,pk->p", points, points)
     # Any choice will do that spreads over the points, however they are numbered.
@@ -54,6 +62,16 @@ def nearest_in_cells(
         better = (fresh > best[rows]) | ((fresh == best[rows]) & (candidate < found[rows]))
         best[rows[better]], found[rows[better]] = fresh[better], candidate[better]
     return found
+
+
+def _require_finite(**rows: NDArray[np.floating]) -> None:
+    """Refuse arrays (n, k) with a row that is not finite, naming the first one."""
+    for name, values in rows.items():
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if bad.size:
+            raise InputError(
+                f"nearest_in_cells: {bad.size} of {len(values)} {name} are not finite, the first is row {bad[0]}"
+            )
 
 
 def _nearest_centres(

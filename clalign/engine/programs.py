@@ -20,10 +20,10 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "moments": ("tile.cl", "panel.cl", "moments.cl"),
     "soft_map_gradient": ("tile.cl", "soft_map_gradient.cl"),
     "soft_map_streamed": ("tile.cl", "panel.cl", "soft_map_streamed.cl"),
-    "cholesky": ("cholesky.cl",),
-    "elementwise": ("elementwise.cl",),
-    "reduce": ("reduce.cl",),
-    "alignment": ("alignment.cl",),
+    "cholesky": ("sums.cl", "cholesky.cl"),
+    "elementwise": ("sums.cl", "elementwise.cl"),
+    "reduce": ("sums.cl", "reduce.cl"),
+    "alignment": ("sums.cl", "alignment.cl"),
     "candidates": ("candidates.cl",),
 }
 """Program name to the files that follow the prelude in it."""

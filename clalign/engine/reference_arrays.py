@@ -22,6 +22,12 @@ def stored(value: ArrayLike, out: Array | None) -> Array:
     return out
 
 
+def reciprocal(values: Array) -> Array:
+    """1 / values, and 0 where they are 0."""
+    safe = np.where(values == 0, 1, values)
+    return np.where(values == 0, 0, 1 / safe).astype(values.dtype)
+
+
 class ReferenceArrays:
     """Twins of `backend.Arrays` and `backend.Products`; see there for the formulas."""
 
@@ -48,6 +54,10 @@ class ReferenceArrays:
     def scale_rows(self, a: Array, w: Array, *, out: Array | None = None) -> Array:
         """diag(w) a."""
         return stored(a * w[:, None], out)
+
+    def reciprocal(self, a: Array, *, out: Array | None = None) -> Array:
+        """1 / a, and 0 where a is 0."""
+        return stored(reciprocal(a), out)
 
     def gather(self, a: Array, index: Array, *, out: Array | None = None) -> Array:
         """Rows of a named by index."""

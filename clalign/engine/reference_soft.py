@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .reference_arrays import stored
+from .reference_arrays import reciprocal, stored
 
 Array = NDArray[Any]
 
@@ -38,12 +38,6 @@ def blocks(rows: int, width: int) -> Iterator[slice]:
     step = max(1, FEATURE_ELEMENTS // max(width, 1))
     for start in range(0, rows, step):
         yield slice(start, min(rows, start + step))
-
-
-def reciprocal(s: Array) -> Array:
-    """1 / s, and 0 where s is 0."""
-    safe = np.where(s == 0, 1, s)
-    return np.where(s == 0, 0, 1 / safe).astype(s.dtype)
 
 
 class ReferenceSoftMaps:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from prepared import MIDDLE, SMALL, Bound, PreparedPair, bound, prepared_pair
+from prepared import MIDDLE, SMALL, Bound, PreparedPair, bound, prepared_pair, tiny_pair
 from shapes import Pair
 
+from clalign.alignment import soft_forms
 from clalign.alignment.dense import DenseProblem
-from clalign.alignment.problem import AlignmentProblem, Round
-from clalign.engine import Backend
+from clalign.alignment.problem import AlignmentProblem, Evaluation, Round
+from clalign.alignment.soft_forms import QuadraticForm, StreamedForm, evaluation_cost, streaming_pays
+from clalign.engine import Backend, Reference
 from clalign.errors import OptionError
 from clalign.geometry.shape import Shape
 from clalign.options import Options
@@ -50,7 +53,20 @@ def started(pair: Bound, rng: np.random.Generator, weight: float = 200.0) -> tup
     return frozen, x + 0.02 * rng.normal(size=x.size)
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.fixture
+def streaming(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Choose the form of the soft map by the parameter, whatever it costs."""
+    monkeypatch.setattr(soft_forms, "streaming_pays", lambda *_: request.param)
+
+
+STREAMED = [
+    name for name, changes in VARIANTS.items() if not changes.keys() & {"alignment.cycle", "alignment.distances"}
+]
+BOTH_FORMS = [*((name, False) for name in VARIANTS), *((name, True) for name in STREAMED)]
+
+
+@pytest.mark.parametrize(("name", "streaming"), BOTH_FORMS, indirect=["streaming"])
+@pytest.mark.usefixtures("streaming")
 def test_gradient_is_the_slope_of_the_value(
     bind_small: Callable[..., Bound], rng: np.random.Generator, name: str
 ) -> None:
@@ -68,7 +84,57 @@ def test_gradient_is_the_slope_of_the_value(
         assert slope == pytest.approx(gradient @ direction, rel=1e-5, abs=1e-7 * np.linalg.norm(gradient))
 
 
-@pytest.mark.parametrize("name", ["plain", "cycle", "one-sided", "uniform cycle", "frozen denominator", "unitarity"])
+@pytest.mark.parametrize("name", STREAMED)
+def test_both_forms_of_the_soft_map_give_the_same_objective(
+    bind_small: Callable[..., Bound], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def evaluate(streamed: bool) -> Evaluation:
+        monkeypatch.setattr(soft_forms, "streaming_pays", lambda *_: streamed)
+        pair = bind_small(VARIANTS[name])
+        assert isinstance(pair.problem._form_y, StreamedForm if streamed else QuadraticForm)
+        frozen, x = started(pair, np.random.default_rng(3))
+        return pair.problem.value_and_gradient(x, frozen)
+
+    streamed, quadratic = evaluate(True), evaluate(False)
+    assert streamed.terms["unsup"] == pytest.approx(quadratic.terms["unsup"], rel=1e-10)
+    error = np.linalg.norm(streamed.gradient - quadratic.gradient)
+    assert error <= 1e-10 * np.linalg.norm(quadratic.gradient)
+
+
+def test_the_form_of_the_soft_map_is_the_one_of_fewer_operations(
+    small: PreparedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # With 50 samples, 16 functions and rank 20: 2 · 136 · 20 operations a row against 162 · (3 · 16 + 2 · 20).
+    assert evaluation_cost(50, 162, 16, 20) == (50 * 2 * 136 * 20, 50 * 162 * (3 * 16 + 2 * 20))
+    assert isinstance(bound(small, SMALL).problem._form_y, QuadraticForm)
+    many = SMALL.replace({"spectrum.basis": 50, "spectrum.refinement": 50, "spectrum.descriptors": 60})
+    prepared = prepared_pair(tiny_pair(), many)
+    assert isinstance(bound(prepared, many.replace({"alignment.cycle": True})).problem._form_y, QuadraticForm)
+    monkeypatch.setattr(Reference, "packed_moments", lambda *_: pytest.fail("moments that nobody reads"))
+    assert isinstance(bound(prepared, many).problem._form_y, StreamedForm)
+
+
+def test_streaming_pays_for_many_functions_and_few_vertices() -> None:
+    """Break-even of a match's usual sizes, k = 120 and r = 50: 1,578 vertices, however many samples there are."""
+    for rows in (1, 1000):
+        assert streaming_pays(rows, 1578, 120, 50)
+        assert not streaming_pays(rows, 1579, 120, 50)
+    assert not streaming_pays(1000, 6890, 200, 100)
+
+
+@pytest.mark.parametrize(
+    ("name", "streaming"),
+    [
+        *(
+            (name, False)
+            for name in ("plain", "cycle", "one-sided", "uniform cycle", "frozen denominator", "unitarity")
+        ),
+        ("plain", True),
+        ("uniform", True),
+    ],
+    indirect=["streaming"],
+)
+@pytest.mark.usefixtures("streaming")
 def test_single_precision_kernels_agree_with_the_reference(
     bind_small: Callable[..., Bound], rng: np.random.Generator, kernels: Backend, name: str
 ) -> None:
@@ -85,6 +151,42 @@ def test_single_precision_kernels_agree_with_the_reference(
     np.testing.assert_allclose(
         single.problem.functional_map(single.rotation), exact.problem.functional_map(exact.rotation), atol=1e-3
     )
+
+
+@pytest.mark.parametrize("distances", ["factors", "dense"])
+def test_a_vertex_without_functions_leaves_the_gradient_finite(
+    bind_small: Callable[..., Bound], rng: np.random.Generator, distances: str
+) -> None:
+    """A row φ_j = 0 gives c_j = 0 and s_j = 0: its column of the soft map is 0, and so is its slope."""
+    pair = bind_small({"alignment.cycle": True, "alignment.distances": distances})
+    source, target = pair.problem.source, pair.problem.target
+    basis = source.basis.copy()
+    basis[pair.problem.factors.vertices[3]] = 0
+    arguments = replace(source, basis=basis), target, pair.problem.factors
+    shared = pair.problem.band, pair.problem.backend, pair.problem.options
+    if isinstance(pair.problem, DenseProblem):
+        problem: AlignmentProblem = DenseProblem(*arguments, pair.problem.distances, *shared)
+    else:
+        problem = AlignmentProblem(*arguments, *shared)
+    frozen, x = started(pair._replace(problem=problem), rng)
+    evaluation = problem.value_and_gradient(x, frozen)
+    assert np.isfinite(evaluation.total)
+    assert np.isfinite(evaluation.gradient).all()
+
+
+def test_an_evaluation_moves_only_its_point_and_its_gradient(
+    bind_small: Callable[..., Bound], kernels: Backend, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    pair = bind_small({"alignment.cycle": True}, kernels)
+    frozen, x = started(pair, rng)
+    moved: list[tuple[str, int]] = []
+    array, numpy = type(kernels).array, type(kernels).numpy
+    monkeypatch.setattr(type(kernels), "array", lambda self, v: moved.append(("up", np.size(v))) or array(self, v))
+    monkeypatch.setattr(type(kernels), "numpy", lambda self, v: moved.append(("down", v.size)) or numpy(self, v))
+    pair.problem.value_and_gradient(x, frozen)
+    pair.problem.value_and_gradient(x, frozen)
+    # What the first evaluation uploads for good (tables of the band) is not uploaded again.
+    assert moved[-2:] == [("up", x.size), ("down", x.size)]
 
 
 def human_options() -> Options:

@@ -127,16 +127,20 @@ def test_unknown_programs_and_functions_are_errors(kernels: Kernels):
         kernels.device.kernel("product", "produce")
 
 
-def test_a_missing_define_is_a_build_error_that_names_it(kernels: Kernels, capfd):
-    with pytest.raises(DeviceError, match=r"candidates\.cl do not build") as caught:
-        kernels.device.kernel("candidates", "map_distance", RELATIVE=0)
-    assert "FLOOR must be given" in str(caught.value) + capfd.readouterr().err
+@pytest.mark.parametrize(
+    ("program", "function", "define"),
+    [("candidates", "map_distance", "FLOOR"), ("nearest", "nearest", "BOUND"), ("elementwise", "transpose", "TB")],
+)
+def test_a_missing_define_is_a_build_error_that_names_it(kernels: Kernels, capfd, program, function, define):
+    with pytest.raises(DeviceError, match=rf"{program}\.cl do not build") as caught:
+        kernels.device.kernel(program, function, RELATIVE=0)
+    assert f"{define} must be given" in str(caught.value) + capfd.readouterr().err
 
 
 def test_kernels_are_built_once(kernels: Kernels, monkeypatch):
-    first = kernels.device.kernel("reduce", "trace")
+    first = kernels.device.kernel("reduce", "finish_rows")
     monkeypatch.setattr(kernels.device, "_build", lambda *_: pytest.fail("built again"))
-    assert kernels.device.kernel("reduce", "trace") is first
+    assert kernels.device.kernel("reduce", "finish_rows") is first
 
 
 def test_with_out_given_nothing_is_allocated_built_or_waited_for(kernels: Kernels, rng, monkeypatch):

@@ -19,6 +19,18 @@ def test_match_twins(check, rng, shape):
     check("total", a, b)
 
 
+@pytest.mark.parametrize("count", [1, 97, 4096, 8193])
+def test_reciprocal_matches_its_twin_and_is_zero_at_zero(check, kernels: Kernels, rng, count):
+    values = rng.normal(size=count)
+    values[count // 2] = 0
+    (inverse,) = check("reciprocal", values)
+    assert inverse[count // 2] == 0
+    assert np.isfinite(inverse).all()
+    array = kernels.array(values)
+    assert kernels.reciprocal(array, out=array) is array
+    np.testing.assert_array_equal(kernels.numpy(array), kernels.numpy(kernels.reciprocal(kernels.array(values))))
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (97, 257), (1025, 5)])
 def test_half_squares_match_twin(check, rng, shape):
     check("half_squares", rng.normal(size=shape))
@@ -37,6 +49,14 @@ def test_upload_and_download_keep_values_types_and_order(kernels: Kernels, rng):
     assert whole.reshape(3, -1).shape == (3, 2)
     np.testing.assert_array_equal(kernels.numpy(whole.reshape(6)), np.arange(6))
     assert float(kernels.array(2.5)) == 2.5
+
+
+def test_only_whole_numbers_of_the_device_name_rows(kernels: Kernels):
+    a = kernels.zeros((4, 3))
+    with pytest.raises(InputError, match="gather: index holds float32, needed is int32"):
+        kernels.gather(a, kernels.zeros(2))
+    with pytest.raises(InputError, match="gather: index is of type ndarray, needed is an array of the device"):
+        kernels.gather(a, np.zeros(2, np.int32))
 
 
 def test_only_one_element_is_a_number(kernels: Kernels):

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from clalign.engine import Reference
 from clalign.engine.near_cells import nearest_in_cells
+from clalign.errors import InputError
 
 
 @pytest.mark.parametrize(("m", "p", "probes"), [(1, 1, 16), (50, 3, 16), (7, 200, 200), (300, 200, 4)])
@@ -37,3 +38,13 @@ def test_ties_go_to_the_lowest_index(reference: Reference, rng):
     points = np.repeat(rng.normal(size=(40, 3)), 5, axis=0)
     found = nearest_in_cells(reference, points, points)
     assert np.array_equal(found, np.arange(200) // 5 * 5)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["queries", "points"])
+def test_what_is_not_finite_is_refused(reference: Reference, rng, name, value):
+    """Otherwise the query would find the point behind the last one."""
+    rows = {"queries": rng.normal(size=(7, 3)), "points": rng.normal(size=(20, 3))}
+    rows[name][5, 1] = value
+    with pytest.raises(InputError, match=rf"1 of \d+ {name} are not finite, the first is row 5"):
+        nearest_in_cells(reference, rows["queries"], rows["points"])

@@ -43,6 +43,7 @@ def test_files_keep_the_rules(file: Path):
     assert len(text.splitlines()) < 250
     assert not re.search(r"\b(fma|vload\d|vstore\d|atomic\w*)\s*\(", code)
     assert not re.search(r"\b\d+\.\d*\b", code), "a literal with a decimal point is a double"
+    assert not re.search(r"^inline\b", code, flags=re.M), "a function of its own is compiled for shorter vectors"
     for signature in programs.SIGNATURE.findall(text):
         assert signature[0] in text.split("*/")[0], f"{signature[0]} is not described at the head of the file"
 
@@ -61,3 +62,14 @@ def test_an_incomplete_installation_says_where_it_looked(tmp_path, monkeypatch):
     monkeypatch.setattr(programs, "__file__", str(tmp_path / "clalign" / "engine" / "programs.py"))
     with pytest.raises(DeviceError, match="kernels are missing"):
         kernel_folder.__wrapped__()
+
+
+def test_helpers_and_long_sums_are_written_once():
+    """A sum of lanes or a compensated sum outside ``sums.cl`` would round in a way of its own."""
+    texts = {file.name: file.read_text(encoding="utf-8") for file in FILES}
+    helpers = [name for text in texts.values() for name in re.findall(r"^INLINE\s+\w+\s+(\w+)\(", text, flags=re.M)]
+    assert len(helpers) == len(set(helpers))
+    assert {"lane_sum", "dot_rows", "compensated_sum"} <= set(helpers)
+    for name, text in texts.items():
+        if name != "sums.cl":
+            assert not re.search(r"\blost\b|\+= lanes\[", text), f"{name} has a sum of its own"

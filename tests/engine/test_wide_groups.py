@@ -5,11 +5,15 @@ The launch shape of a GPU (groups of 64 work-items, one tile each), and vectors 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clalign.engine.device import Device
 from clalign.engine.kernels import Kernels
+from clalign.engine.kernels_arrays import ceil_div
+from clalign.engine.kernels_products import equal_parts
 from clalign.engine.reference import Reference
 
 
@@ -57,3 +61,37 @@ def test_candidates_and_sums_agree_with_their_twins(wide: Kernels, rng):
     agree(wide, "distortion_batch", dx, dy, w, index)
     agree(wide, "map_distance", dx, w, index)
     assert wide.total(wide.array(dx)) == pytest.approx(dx.sum(), rel=1e-6)
+
+
+@pytest.mark.parametrize("length", [1, 2, 5, 512, 513, 614_401])
+@pytest.mark.parametrize("most", [1, 2, 3, 4, 8, 1024])
+def test_no_part_is_empty(length: int, most: int):
+    parts, size = equal_parts(length, most)
+    assert 1 <= parts <= most
+    assert (parts - 1) * size < length <= parts * size
+    # What a launch of that many parts makes of the length is the same size.
+    assert ceil_div(length, parts) == size
+
+
+def test_a_gram_matrix_is_the_sum_of_parts_that_were_all_written(rng):
+    """614,401 rows in 1,024 parts of 601 would leave the last one empty."""
+    kernels = Kernels(Device())
+    kernels.device.group, kernels.device.facts = 64, replace(kernels.device.facts, units=2)
+    values = rng.random((614_401, 1)).astype(np.float32)
+    a, w = kernels.array(values), kernels.array(np.ones(len(values)))
+    partial = kernels.device.scratch("splits", 1024)
+    kernels.device.copy(kernels.array(np.full(partial.size, np.nan)), partial)
+    result = kernels.numpy(kernels.weighted_gram(a, a, w))
+    assert result[0, 0] == pytest.approx(np.sum(values.astype(np.float64) ** 2), rel=1e-5)
+
+
+@pytest.mark.parametrize("lanes", [8, 16])
+def test_sums_of_vectors_of_every_length(double_kernels, rng, lanes):
+    """Vectors of 4 and 8 doubles; the others here are of 8 and 16 floats."""
+    kernels = Kernels(Device(precision="double"))
+    kernels.device.lanes = lanes
+    a = rng.normal(size=(37, 29))
+    np.testing.assert_allclose(
+        kernels.numpy(kernels.half_squares(kernels.array(a))), 0.5 * np.sum(a * a, axis=1), rtol=1e-14
+    )
+    assert kernels.total(kernels.array(a), kernels.array(a)) == pytest.approx(np.sum(a * a), rel=1e-14)

@@ -50,6 +50,17 @@ def test_sizes_of_small_and_of_large_meshes() -> None:
     assert sizes(5000, 5000, Options.preset("paper")).losses == 5000
 
 
+def test_a_soft_map_onto_few_vertices_is_predicted_to_cost_less() -> None:
+    """It is streamed, but for the cycle term; a pass over the packed pairs does not depend on the vertices."""
+
+    def evaluation(vertices: int, cycle: bool) -> float:
+        options = Options().replace({"alignment.cycle": cycle, "readout.steps": 0})
+        return forecast(2000, vertices, options, processors=1).stages["alignment"]
+
+    assert evaluation(500, False) < 0.7 * evaluation(500, True)
+    assert evaluation(5000, False) == evaluation(5000, True)
+
+
 def test_more_of_anything_needs_more() -> None:
     base = forecast(5000, 5000, Options(), processors=2)
     for counts, changes in (
