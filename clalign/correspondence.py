@@ -43,9 +43,12 @@ class Alternative:
 
     target_of_source : (file_count_x,) int64, in file numbering; -1 where the vertex is not on the surface.
     source_of_target : (file_count_y,) int64.
-    score : how badly distances are kept, the lower the better; comparable between the maps of one match.
+    score : product of five unit-free ones, the lower the better; comparable between the maps of one match. They are the
+        distortion of distances, the differences of mean curvature, Gaussian curvature and heat kernel signatures, and
+        how far the functional map is from commuting with the Laplacian.
     orientation : from -1 (mirrored everywhere) to 1 (orientation kept everywhere).
-    distance : mean geodesic distance on the target between the two images of a source point, units of sqrt(area).
+    distance : mean geodesic distance on the source between the images of a target point under this map and under the
+        chosen one, as the search had them, in units of sqrt(area).
     """
 
     target_of_source: NDArray[np.int64]
@@ -82,7 +85,7 @@ class Correspondence:
     options, versions : what is needed to repeat the match.
     source_faces, source_barycentric : (file_count_x,) int64 and (file_count_x, 3) float64, the point of the target
         of every source vertex as a target face and weights of its corners; None without the sub-vertex read-out.
-    score : how badly the chosen map keeps distances, as `Alternative.score`; NaN where no search was made.
+    score : of the chosen map, as `Alternative.score`; NaN where no search was made.
 
     Raises
     ------

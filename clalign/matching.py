@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
+import inspect
 import logging
 import platform
 import warnings as python_warnings
@@ -29,6 +30,10 @@ from clalign.geometry.workers import single_threaded_blas
 from clalign.options import Options
 
 LOG = logging.getLogger(__name__)
+
+PACKAGE = __name__.partition(".")[0]
+
+NO_FINITE_VALUE = "the objective had no finite value, and the optimisation of R ended there; look at the picture"
 
 LOW_CONFIDENCE = 0.15
 """A best different map whose score is within this share of the chosen one's is worth a warning."""
@@ -96,13 +101,14 @@ def match_shapes(
     with single_threaded_blas(), np.errstate(over="ignore", under="ignore"):
         pair = align_pair(source, target, backend, options, clock)
     try:
-        return _correspondence(source, target, pair, backend, options)
+        with plain_interrupts():
+            return _correspondence(source, target, pair, backend, options)
     except KeyboardInterrupt:
         pair = dataclasses.replace(pair, alignment=dataclasses.replace(pair.alignment, status="interrupted"))
+    with plain_interrupts():
         return _correspondence(source, target, pair, backend, options)
 
 
-@plain_interrupts()
 def _correspondence(
     source: Shape, target: Shape, pair: AlignedPair, backend: Backend, options: Options
 ) -> Correspondence:
@@ -198,7 +204,12 @@ def _alternatives(source: Shape, target: Shape, pair: AlignedPair) -> tuple[Alte
 
 
 def _warnings(source: Mesh, target: Mesh, pair: AlignedPair, confidence: float, alternatives: int) -> tuple[str, ...]:
-    """Return what a user has to know, and raise it as Python warnings too."""
+    """Return what a user has to know; doubts about the map itself are raised as Python warnings, too.
+
+    Those are a low confidence or orientation, a map that was not searched for, and an objective without a finite value.
+    What the user has done (Ctrl-C), asked for (more maps than there are) or can read of a mesh in its notes is only
+    returned.
+    """
     messages = []
     if pair.alignment.status == "interrupted":
         messages.append(f"{INTERRUPTED}what was left to do was cut short, and the best map so far was kept")
@@ -220,11 +231,22 @@ def _warnings(source: Mesh, target: Mesh, pair: AlignedPair, confidence: float, 
             f"low confidence ({confidence:.2f}): a different map explains the shapes almost as well; "
             f"look at the picture, and {way}"
         )
-    for doubt in doubts:
-        python_warnings.warn(doubt, ConfidenceWarning, stacklevel=3)
-    if pair.alignment.status == "failed":
-        python_warnings.warn("the objective had no finite value", ClalignWarning, stacklevel=3)
-    return (*messages, *doubts)
+    failures = [NO_FINITE_VALUE] if pair.alignment.status == "failed" else []
+    for texts, category in ((failures, ClalignWarning), (doubts, ConfidenceWarning)):
+        for text in texts:
+            python_warnings.warn(text, category, stacklevel=_users_level())
+    return (*messages, *failures, *doubts)
+
+
+def _users_level() -> int:
+    """Return the level, for a warning of the calling function, of the innermost line outside this package.
+
+    It is the user's own, whichever of the package's functions that was called by.
+    """
+    level, frame = 0, inspect.currentframe()
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == PACKAGE:
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 def _versions() -> dict[str, str]:

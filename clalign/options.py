@@ -21,6 +21,9 @@ Band = Literal["half", "full", "diagonal", "none"]
 Orientation = Literal["preserving", "reversing", "any"]
 Readout = Literal["aligned", "functional", "argmax"]
 
+SEARCHED_WITH = 3
+"""Laplace–Beltrami eigenfunctions without which there is no search."""
+
 
 def _require(condition: bool, message: str) -> None:
     if not condition:
@@ -52,7 +55,8 @@ class SpectrumOptions:
     """Eigenfunctions of both Laplace–Beltrami operators.
 
     basis : number k of LBO eigenfunctions in the functional map C.
-    refinement : number of LBO eigenfunctions computed in all, for spectral up-sampling (at least `basis`).
+    refinement : number of LBO eigenfunctions computed in all, for spectral up-sampling (at least `basis`). A search
+        needs three.
     descriptors : number d of scale-invariant eigenfunctions that R aligns.
     metric : conformal factor of the scale-invariant operator: "power" |K|^xi (Eq. 29), "regularized"
         sqrt(K² + epsilon²) (Eq. 7), "euclidean" 1 (Eq. 3), "heat-kernel", or "auto" (xi chosen per pair).
@@ -139,7 +143,8 @@ class AlignmentOptions:
     denominator : "frozen" as in the paper, which pays for a smaller R, or "differentiated", which does not.
     weights : "area" or the paper's "uniform" weights in the soft map and the losses.
     distances : "factors" (low rank) or "dense" (small meshes only).
-    samples : farthest-point samples of the source on which the losses are evaluated (0: all vertices).
+    samples : farthest-point samples of the source on which the losses are evaluated (0: all vertices). All vertices are
+        taken too, whatever the number, where the geodesic samples (`geodesics.search_samples`) are all vertices.
     rounds, iterations : at most so many rounds, each of at most so many L-BFGS evaluations.
     decay : λ is multiplied by this after every round.
     tolerance : a round ends when a step lowers the objective by less, relatively.
@@ -224,6 +229,13 @@ class Options:
 
     def __post_init__(self) -> None:
         _require(self.seed >= 0, f"seed must not be negative, got {self.seed!r}")
+        computed = max(self.spectrum.basis, self.spectrum.refinement)
+        _require(
+            self.search.method == "random" or computed >= SEARCHED_WITH,
+            f"spectrum.basis or spectrum.refinement must be at least {SEARCHED_WITH} for a search, got {computed}: the "
+            "orientation of a map is told by two eigenfunctions beside the constant one (search.method=random makes no "
+            "search)",
+        )
 
     @staticmethod
     def preset(name: str) -> Options:

@@ -110,6 +110,17 @@ def test_messages_say_what_is_wrong(changes: dict[str, Any], message: str) -> No
         Options().replace(changes)
 
 
+@pytest.mark.parametrize("method", ["tree", "signs"])
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_search_needs_three_functions(method: str, count: int) -> None:
+    few = {"spectrum.basis": count, "spectrum.refinement": count}
+    with pytest.raises(OptionError, match=rf"at least 3 for a search, got {count}: the orientation"):
+        Options().replace({**few, "search.method": method})
+    assert Options().replace({**few, "search.method": "random"}).spectrum.basis == count
+    for name in few:
+        assert Options().replace({**few, name: 3, "search.method": method}).search.method == method
+
+
 def test_unknown_preset_lists_the_presets() -> None:
     with pytest.raises(OptionError, match="default, fast, paper"):
         Options.preset("quick")

@@ -75,7 +75,7 @@ class Forecast:
     host : bytes of the process and its helpers without what lies on the device, by stage.
     device : bytes in buffers of the device, by stage.
     largest_buffer : bytes of the largest one.
-    seconds : by stage, on the processors of this machine.
+    stages : seconds by stage, on the processors of this machine.
     shared : the device computes in the memory of the process (a CPU), so that both count together.
     """
 
@@ -105,7 +105,7 @@ class Forecast:
 
     @property
     def seconds(self) -> float:
-        """Time of the whole match."""
+        """Time of the whole match, the sum over `stages`."""
         return sum(self.stages.values())
 
 

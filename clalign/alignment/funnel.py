@@ -10,8 +10,11 @@ from clalign.options import AlignmentOptions
 
 
 def funnel_widths(count: int, slope: float, offset: int) -> NDArray[np.int64]:
-    """Return W_i = ceil(i / a) + b for i = 1 … count (Eq. 25)."""
-    return np.ceil(np.arange(1, count + 1) / slope).astype(np.int64) + offset
+    """Return W_i = ceil(i / a) + b for i = 1 … count (Eq. 25), at most 2 count: the whole matrix in every reading."""
+    # As floats first: a slope near zero gives widths, and infinity, that no integer holds.
+    with np.errstate(over="ignore"):
+        widths = np.ceil(np.arange(1, count + 1) / slope) + min(offset, 2 * count)
+    return np.minimum(widths, 2 * count).astype(np.int64)
 
 
 def funnel_band(count: int, options: AlignmentOptions) -> Band:
@@ -37,10 +40,7 @@ def funnel_band(count: int, options: AlignmentOptions) -> Band:
     else:
         widths = funnel_widths(count, options.band_slope, options.band_offset)
         reach = widths if options.band == "half" else widths // 2
-    lower = np.maximum(rows - reach, 0)
-    upper = np.minimum(rows + reach + 1, count)
-    offsets = np.concatenate([[0], np.cumsum(upper - lower)])
-    return Band(lower.astype(np.int32), upper.astype(np.int32), offsets.astype(np.int32))
+    return Band.from_limits(np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, count))
 
 
 def band_mask(band: Band) -> NDArray[np.bool_]:

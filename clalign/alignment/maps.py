@@ -7,7 +7,7 @@ A functional map (k_y, k_x) takes coefficients of functions on X to coefficients
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +81,19 @@ def point_maps_in_order(
     )
 
 
-def both_directions(maps: PointMaps | None) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
+class TwoWay(Protocol):
+    """Maps in both directions, of all vertices or of some."""
+
+    @property
+    def target_of_source(self) -> NDArray[np.int64]:
+        """A vertex of Y for every one of X."""
+
+    @property
+    def source_of_target(self) -> NDArray[np.int64]:
+        """A vertex of X for every one of Y."""
+
+
+def both_directions(maps: TwoWay | None) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
     """Return target_of_source and source_of_target of maps that may be missing."""
     return (None, None) if maps is None else (maps.target_of_source, maps.source_of_target)
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.engine.backend import Backend, Band
+from clalign.engine.reference_arrays import band_positions
 from clalign.options import AlignmentOptions
 
 from .nearness import Orders
@@ -111,6 +112,7 @@ class AlignmentProblem:
     ) -> None:
         self.source, self.target, self.factors = source, target, factors
         self.band, self.across, self.backend, self.options = band, band.transposed, backend, options
+        self._positions = band_positions(band)
         array = backend.array
         self._projection_x, self._projection_y = array(source.projection), array(target.projection)
         self._turned_projection_x = backend.transpose(self._projection_x)
@@ -159,16 +161,12 @@ class AlignmentProblem:
 
     def pack(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the entries of (d, d) `rotation` inside the band, as the optimiser's vector."""
-        rows = np.repeat(np.arange(self.band.size), np.diff(self.band.offsets))
-        columns = np.concatenate([np.arange(a, b) for a, b in zip(self.band.lower, self.band.upper, strict=True)])
-        return np.ascontiguousarray(rotation[rows, columns], dtype=np.float64)
+        return np.ascontiguousarray(rotation[self._positions], dtype=np.float64)
 
     def unpack(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Inverse of `pack`: (d, d) with zeros outside the band."""
         rotation = np.zeros((self.band.size, self.band.size))
-        rows = np.repeat(np.arange(self.band.size), np.diff(self.band.offsets))
-        columns = np.concatenate([np.arange(a, b) for a, b in zip(self.band.lower, self.band.upper, strict=True)])
-        rotation[rows, columns] = x
+        rotation[self._positions] = x
         return rotation
 
     @property

@@ -15,6 +15,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from clalign.alignment.maps import both_directions
 from clalign.alignment.nearness import VertexOrder, nearest_in_order
 from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape
@@ -181,7 +182,7 @@ def nearest_samples(
         backend.product(basis.uploaded, backend.array(factor), leading=True)
         for basis, factor in zip((source, target), factors, strict=True)
     ]
-    guesses = (None, None) if guess is None else (guess.target_of_source, guess.source_of_target)
+    guesses = both_directions(guess)
     bases, found = (source, target), []
     for here, there in ((0, 1), (1, 0)):
         own, matches = bases[here], guesses[here]

@@ -81,8 +81,9 @@ def aligned_side(
 def sampled_factors(shape: Shape, options: AlignmentOptions) -> SampledFactors:
     """Return the distance factors at the vertices of the losses.
 
-    All vertices when `options.samples` is 0 or not less than their number, else farthest-point samples,
-    weighted by the areas of their cells: they depend on the surface alone, not on how its vertices are numbered.
+    All vertices when `options.samples` is 0 or not less than their number, or, whatever it is, when the geodesic
+    samples are all vertices. Else farthest-point samples, weighted by the areas of their cells: they depend
+    on the surface alone, not on how its vertices are numbered.
     """
     count = shape.mesh.n_vertices
     available = shape.geodesics.samples.size

@@ -47,6 +47,8 @@ class RunTimes:
 
     Attributes
     ----------
+    run : name of the run.
+    workers : how many worked at a time.
     wall : by the clock; None for a run that was interrupted and gone on with.
     shapes, pairs, consistent : of the work, by stage.
     """

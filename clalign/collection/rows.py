@@ -26,7 +26,8 @@ class PairRow:
     source, target : names of the shapes.
     kind : "direct" for a map that was matched, "derived" for one that came from the network alone, "repaired" for one
         that was matched and then replaced because it contradicted the network.
-    status : "ok"; "failed" with the reason in `message`; "skipped" because a shape of the pair failed.
+    status : "ok"; "failed"; "skipped" because a shape of the pair failed.
+    message : why there is no map.
     confidence, orientation : of the match, see `clalign.Correspondence`.
     distortion : mean change of distances under the map.
     cycle_error, network_error : of the matched map, before any repair: median deviation around triangles, and
@@ -37,6 +38,8 @@ class PairRow:
     loaded : prepared shapes of the pair that the worker had to fetch from the cache, or compute.
     peak_memory : bytes of the worker process at its largest so far.
     warnings : joined by " | ".
+    device : that computed, as it names itself.
+    worker : that did the work.
     """
 
     source: str

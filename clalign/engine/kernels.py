@@ -15,8 +15,8 @@ from .kernels_soft import KernelSoftMaps
 class Kernels(KernelLosses, KernelSoftMaps, KernelSearches, KernelProducts, KernelArrays):
     """All kernels of one device. Use it from one thread: kernels and scratch memory are kept between calls.
 
-    Nothing waits for the device but `numpy`, `total` and ``float``; with `out` given, and after a first call with the
-    same shapes, nothing is allocated or built.
+    Nothing waits for the device but `numpy`, `total`, ``float``, and `array`, whose copy comes after all that is
+    queued; with `out` given, and after a first call with the same shapes, nothing is allocated or built.
     """
 
     def __init__(self, device: Device) -> None:

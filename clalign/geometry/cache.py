@@ -93,7 +93,6 @@ class ShapeCache:
         try:
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files}
-            os.utime(path)
         except FileNotFoundError:
             return None
         # A damaged file makes zipfile and numpy raise almost anything, NotImplementedError and MemoryError included.
@@ -101,6 +100,10 @@ class ShapeCache:
             logger.warning("cache entry %s cannot be read (%s); it is computed again", path, error)
             self.discard(key)
             return None
+        # The time of last use only decides what is evicted. It cannot be set in a folder that is read-only or belongs
+        # to somebody else, nor after another process has evicted the entry; what was read is whole all the same.
+        with contextlib.suppress(OSError):
+            os.utime(path)
         return arrays
 
     def put(self, key: str, arrays: Mapping[str, NDArray[Any]]) -> bool:
@@ -163,14 +166,19 @@ class ShapeCache:
             raise
 
     def _shrink(self) -> None:
-        """Remove the entries used longest ago until the limit holds, and files that were left unfinished."""
+        """Remove the entries used longest ago until the limit holds, and files that were left unfinished.
+
+        Files that cannot be removed, such as those of another user, are passed over.
+        """
         entries = sorted(self._entries(), key=lambda entry: (entry[1].st_mtime_ns, entry[0].name))
         total = sum(status.st_size for _, status in entries)
         for path, status in entries:
             if total <= self.limit_bytes:
                 break
-            path.unlink(missing_ok=True)
-            total -= status.st_size
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
+                total -= status.st_size
         for path, status in self._entries(".part"):
             if time.time() - status.st_mtime > ABANDONED_AFTER:
-                path.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):
+                    path.unlink(missing_ok=True)

@@ -15,19 +15,19 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import reverse_cuthill_mckee
-from scipy.sparse.linalg import splu
 
 from clalign.errors import ConvergenceError
+from clalign.geometry.factors import Factors, count_below
 from clalign.geometry.workers import thread_pool
 
 logger = logging.getLogger(__name__)
@@ -54,48 +54,31 @@ PLANNING_TOLERANCES = (0.05, 0.1, 0.1, 0.2, 0.2, 0.4, 0.4, 0.4)
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class _Factors:
-    """S − σI factorised: the shift, the number of eigenvalues below it, and the solver.
+class _Lane:
+    """A thread, and the factors that it has made and still holds.
 
-    `held` has the factors as its only entry. scipy frees their memory only in the thread that made them, so they must
-    be dropped there, by `drop`.
+    `stop`, which all lanes share, ends at its next block whatever slice is computed.
     """
 
-    shift: float
-    below: int
-    held: list[Any]
-
-    def solve(self, sides: Array) -> Array:
-        """Return the solutions for right-hand sides (n, k)."""
-        return np.asarray(self.held[0].solve(sides))
-
-    def drop(self) -> None:
-        """Free the factors."""
-        self.held.clear()
-
-
-class _Lane:
-    """A thread, and the factors that it has made and still holds."""
-
-    def __init__(self, thread: ThreadPoolExecutor) -> None:
+    def __init__(self, thread: ThreadPoolExecutor, stop: threading.Event) -> None:
         self._thread = thread
-        self._made: list[_Factors] = []
+        self._stop = stop
+        self._made: list[Factors] = []
 
-    def factorise(self, matrix: sparse.csc_matrix, shift: float) -> Future[_Factors]:
+    def factorise(self, matrix: sparse.csc_matrix, shift: float) -> Future[Factors]:
         """Factorise S − σI in this thread."""
 
-        def make() -> _Factors:
-            self._made.append(_factors(matrix, shift))
+        def make() -> Factors:
+            self._made.append(Factors.of(matrix, shift))
             return self._made[-1]
 
         return self._thread.submit(make)
 
-    def call(self, function: Callable[..., _Slice], *arguments: Any) -> Future[_Slice]:
-        """Call a function in this thread."""
-        return self._thread.submit(function, *arguments)
+    def slice(self, matrix: sparse.csc_matrix, factor: Factors, first: int, end: int, unit: float) -> Future[_Slice]:
+        """Compute a slice in this thread; see `_slice`."""
+        return self._thread.submit(_slice, matrix, factor, first, end, unit, self._stop)
 
-    def keep(self, kept: Sequence[_Factors]) -> None:
+    def keep(self, kept: Sequence[Factors]) -> None:
         """Drop all factors but those, in this thread."""
 
         def drop() -> None:
@@ -109,9 +92,13 @@ class _Lane:
 
 @contextlib.contextmanager
 def _lanes(count: int) -> Iterator[list[_Lane]]:
-    """Yield threads whose factors are freed at the end."""
+    """Yield threads whose factors are freed at the end; if the block fails, slices that are computed are given up.
+
+    After Ctrl-C nothing here waits for them, but the interpreter would at its exit, for as long as they take.
+    """
+    stop = threading.Event()
     with contextlib.ExitStack() as stack:
-        lanes = [_Lane(stack.enter_context(thread_pool(1))) for _ in range(count)]
+        lanes = [_Lane(stack.enter_context(thread_pool(1)), stop) for _ in range(count)]
 
         def free() -> None:
             for lane in lanes:
@@ -119,8 +106,10 @@ def _lanes(count: int) -> Iterator[list[_Lane]]:
 
         try:
             yield lanes
-        except Exception:
-            free()
+        except BaseException as error:
+            stop.set()
+            if isinstance(error, Exception):
+                free()
             raise
         free()
 
@@ -169,7 +158,7 @@ def lowest_pairs(matrix: sparse.csc_matrix, count: int, unit: float, threads: in
         borders = [0] + [(left.below + right.below) // 2 for left, right in itertools.pairwise(factors)]
         ends = [min(border + OVERLAP, count) for border in borders[1:]] + [count]
         jobs = [
-            lanes[number % len(lanes)].call(_slice, matrix, factor, max(border - OVERLAP, 0), end, unit)
+            lanes[number % len(lanes)].slice(matrix, factor, max(border - OVERLAP, 0), end, unit)
             for number, (factor, border, end) in enumerate(zip(factors, borders, ends, strict=True))
         ]
         values, rows = _joined([job.result() for job in jobs], unit)
@@ -179,25 +168,7 @@ def lowest_pairs(matrix: sparse.csc_matrix, count: int, unit: float, threads: in
     return values, vectors
 
 
-def factorise(matrix: sparse.csc_matrix, shift: float) -> Any:
-    """Return SuperLU factors of ``matrix - shift * I`` without pivoting, ordered for a symmetric pattern."""
-    shifted = sparse.csc_matrix(matrix - shift * sparse.eye_array(matrix.shape[0]))
-    return splu(shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-
-
-def count_below(matrix: sparse.csc_matrix, value: float) -> int:
-    """Return how many eigenvalues of a symmetric matrix lie below a value, which must not be one of them."""
-    factors = _factors(matrix, value)
-    factors.drop()
-    return factors.below
-
-
-def _factors(matrix: sparse.csc_matrix, shift: float) -> _Factors:
-    factors = factorise(matrix, shift)
-    return _Factors(shift, int(np.count_nonzero(factors.U.diagonal() < 0)), [factors])
-
-
-def _plan(matrix: sparse.csc_matrix, count: int, unit: float, lanes: Sequence[_Lane]) -> list[_Factors]:
+def _plan(matrix: sparse.csc_matrix, count: int, unit: float, lanes: Sequence[_Lane]) -> list[Factors]:
     """Place a shift near the middle of each slice; slice i is factorised in lane i modulo the number of lanes.
 
     The number of eigenvalues below a value is taken as value / unit where nothing is known, and interpolated between
@@ -207,7 +178,7 @@ def _plan(matrix: sparse.csc_matrix, count: int, unit: float, lanes: Sequence[_L
     width = count / slices
     targets = (np.arange(slices) + 0.5) * width
     shifts, counts = [0.0], [0.0]
-    placed: dict[int, _Factors] = {}
+    placed: dict[int, Factors] = {}
     for tolerance in PLANNING_TOLERANCES:
         missing = [index for index in range(slices) if index not in placed]
         if not missing:
@@ -234,14 +205,16 @@ def _plan(matrix: sparse.csc_matrix, count: int, unit: float, lanes: Sequence[_L
     return [placed[index] for index in sorted(placed)]
 
 
-def _slice(matrix: sparse.csc_matrix, factor: _Factors, first: int, end: int, unit: float) -> _Slice:
-    """Compute the pairs number `first` to `end` - 1, which lie around the shift of `factor`."""
+def _slice(
+    matrix: sparse.csc_matrix, factor: Factors, first: int, end: int, unit: float, stop: threading.Event
+) -> _Slice:
+    """Compute the pairs number `first` to `end` - 1, which lie around the shift of `factor`, unless told to `stop`."""
     below, above = max(factor.below - first, 0), max(end - factor.below, 0)
     wanted = below + above
     size = matrix.shape[0]
     capacity = min(_blocks(CAPACITY * wanted + 8 * BLOCK), (size // BLOCK - 1) * BLOCK)
     rounding = ROUNDING * float(abs(matrix).sum(axis=0).max())
-    basis = _Basis(factor.solve, size, capacity)
+    basis = _Basis(factor.solve, size, capacity, stop)
     target = min(_blocks(FIRST_CHECK * wanted + 4 * BLOCK), capacity)
     while True:
         basis.extend(target)
@@ -270,12 +243,13 @@ def _slice(matrix: sparse.csc_matrix, factor: _Factors, first: int, end: int, un
 class _Basis:
     """An orthonormal Krylov basis, stored by rows, and the operator projected onto it."""
 
-    def __init__(self, solve: Callable[[Array], Array], size: int, capacity: int) -> None:
+    def __init__(self, solve: Callable[[Array], Array], size: int, capacity: int, stop: threading.Event) -> None:
         self.rows = np.zeros((capacity + BLOCK, size), dtype=np.float64)
         self.projected = np.zeros((capacity + BLOCK, capacity + BLOCK), dtype=np.float64)
         self.coupling = np.zeros((BLOCK, BLOCK), dtype=np.float64)
         self.used = 0
         self._solve = solve
+        self._stop = stop
         self.rows[:BLOCK], _ = _normalised(np.random.default_rng(0).standard_normal((BLOCK, size)))
 
     def extend(self, size: int) -> None:
@@ -283,8 +257,15 @@ class _Basis:
 
         A new block is first made orthogonal to the two blocks before it, which is all that exact arithmetic would
         need, then normalised, and then made orthogonal to all blocks and normalised again.
+
+        Raises
+        ------
+        CancelledError
+            Nobody waits for the basis any more.
         """
         while self.used + BLOCK <= size:
+            if self._stop.is_set():
+                raise CancelledError
             first, last = self.used, self.used + BLOCK
             recent = self.rows[max(first - BLOCK, 0) : last]
             image = self._solve(self.rows[first:last].T).T

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from clalign.errors import InputError
 from clalign.options import SpectrumOptions
 
-from .lanczos import factorise
+from .factors import factorise
 
 if TYPE_CHECKING:
     from .spectra import Spectrum
@@ -192,6 +192,11 @@ def diffused(
     Returns
     -------
     (n,) float64, in the units of the values.
+
+    Raises
+    ------
+    ConvergenceError
+        M + t W is singular to working precision.
     """
     if time == 0:
         return values

@@ -10,11 +10,12 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sparse
 from numpy.typing import NDArray
-from scipy.sparse.linalg import LinearOperator, eigsh
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
 from clalign.errors import ConvergenceError
 
-from .lanczos import factorise, lowest_pairs
+from .factors import REMEDY, factorise
+from .lanczos import lowest_pairs
 from .workers import single_threaded_blas
 
 logger = logging.getLogger(__name__)
@@ -88,7 +89,8 @@ def solve(
     Raises
     ------
     ConvergenceError
-        A residual ‖Wφ − λMφ‖ in the norm of M⁻¹, relative to λ + 4π / ΣM, is above `TOLERANCE`.
+        A residual ‖Wφ − λMφ‖ in the norm of M⁻¹, relative to λ + 4π / ΣM, is above `TOLERANCE`, or the solver itself
+        gave up: a factorisation was singular, or the iteration ended before all pairs had converged.
     """
     n = len(mass)
     capped = min(count, max(n // 3, 1))
@@ -101,14 +103,14 @@ def solve(
     # The many small products lose more by sharing out than they gain, and slices use the other processors.
     with single_threaded_blas():
         if n < DENSE_BELOW:
-            values, vectors = scipy.linalg.eigh(operator.toarray(), subset_by_index=(0, capped - 1))
+            values, vectors = _dense(operator, capped)
         elif solver == "block":
             values, vectors = _block(operator, capped, unit, threads)
         else:
             values, vectors = _arpack(operator, capped, unit)
     residual = _largest_residual(operator, values, vectors, unit)
     if not residual <= TOLERANCE:
-        raise ConvergenceError(f"an eigenpair of {capped} has residual {residual:.1e}, above {TOLERANCE:.0e}")
+        raise ConvergenceError(f"an eigenpair of {capped} has residual {residual:.1e}, above {TOLERANCE:.0e}; {REMEDY}")
     functions = fix_signs(vectors / root[:, None], mass)
     return Spectrum(eigenvalues=np.maximum(values, 0.0), functions=functions, mass=mass)
 
@@ -136,12 +138,20 @@ def fix_signs(functions: NDArray[np.float64], mass: NDArray[np.float64]) -> NDAr
     return np.ascontiguousarray(functions * signs)
 
 
+def _dense(operator: sparse.csc_matrix, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    try:
+        values, vectors = scipy.linalg.eigh(operator.toarray(), subset_by_index=(0, count - 1))
+    except np.linalg.LinAlgError as error:
+        raise ConvergenceError(f"the dense eigensolver gave up ({error}); {REMEDY}") from error
+    return values, vectors
+
+
 def _block(
     operator: sparse.csc_matrix, count: int, unit: float, threads: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     try:
         return lowest_pairs(operator, count, unit, threads)
-    except (ConvergenceError, RuntimeError, np.linalg.LinAlgError) as error:
+    except (RuntimeError, np.linalg.LinAlgError) as error:
         logger.warning("block Lanczos failed (%s); ARPACK takes over", error)
         return _arpack(operator, count, unit)
 
@@ -150,7 +160,10 @@ def _arpack(operator: sparse.csc_matrix, count: int, unit: float) -> tuple[NDArr
     n = operator.shape[0]
     inverse = LinearOperator((n, n), matvec=factorise(operator, -unit).solve, dtype=np.float64)
     start = np.cos(np.arange(n, dtype=np.float64) ** 2)
-    values, vectors = eigsh(operator, count, sigma=-unit, OPinv=inverse, v0=start, which="LM")
+    try:
+        values, vectors = eigsh(operator, count, sigma=-unit, OPinv=inverse, v0=start, which="LM")
+    except ArpackError as error:
+        raise ConvergenceError(f"ARPACK gave up on {count} eigenpairs ({error}); {REMEDY}") from error
     order = np.argsort(values, kind="stable")
     return values[order], vectors[:, order]
 

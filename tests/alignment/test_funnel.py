@@ -61,6 +61,16 @@ def test_every_funnel_is_a_valid_band(count: int, slope: float, offset: int, ban
     assert made.count == band_mask(made).sum()
 
 
+@pytest.mark.parametrize("band", ["half", "full"])
+@pytest.mark.parametrize("changes", [{"band_slope": 1e-20}, {"band_slope": 5e-324}, {"band_offset": 10**300}])
+def test_funnel_wider_than_the_matrix_is_the_whole_matrix(band: Any, changes: dict[str, Any]) -> None:
+    """Widths that no integer holds, infinite ones included: limits outside the matrix are writes outside a buffer."""
+    made = funnel_band(9, AlignmentOptions(band=band, **changes))
+    assert made.lower.tolist() == [0] * 9
+    assert made.upper.tolist() == [9] * 9
+    assert made.offsets.tolist() == list(range(0, 82, 9))
+
+
 @pytest.mark.parametrize("band", ["half", "full", "diagonal", "none"])
 def test_packing_is_the_adjoint_of_unpacking(
     bind_small: Callable[..., Any], rng: np.random.Generator, band: str

@@ -23,7 +23,7 @@ from clalign.alignment.search.batch import (
     without_duplicates,
 )
 from clalign.alignment.search.closure import composed, self_maps
-from clalign.alignment.search.orientation import orientation_scores
+from clalign.alignment.search.orientation import index_pairs, orientation_scores
 from clalign.alignment.search.sampled import SampledShape, sampled
 from clalign.alignment.search.starts import oriented_starts, sign_patterns, unfold
 from clalign.alignment.search.tree import branched
@@ -101,6 +101,23 @@ def test_newton_schulz_gives_the_polar_factor(rng: np.random.Generator) -> None:
     disturbed = (maps + 0.05 * rng.normal(size=maps.shape)).astype(np.float32)
     expected = np.stack([scipy.linalg.polar(m.astype(np.float64))[0] for m in disturbed])
     np.testing.assert_allclose(orthogonalised_batch(disturbed), expected, atol=1e-4)
+
+
+def test_pairs_of_functions_have_two_columns_also_where_there_are_none() -> None:
+    assert index_pairs(1, 3).tolist() == [[1, 2], [1, 3], [2, 3]]
+    for last in (0, 1):
+        assert index_pairs(1, last).shape == (0, 2)
+
+
+@pytest.mark.parametrize("method", ["tree", "signs"])
+def test_three_functions_are_enough_for_a_search(method: str) -> None:
+    """As few as the options let through: two functions beside the constant one fix this map and its orientation."""
+    vertices, faces = shapes.bumpy_sphere(2)
+    options = MIDDLE.replace({"spectrum.basis": 3, "spectrum.refinement": 3, "search.method": method})
+    shape = prepare(mesh_from_arrays(vertices, faces), options)
+    found = find_isometry(shape, shape, Reference(), options.search)
+    np.testing.assert_allclose(found.functional, np.eye(3), atol=1e-4)
+    assert found.orientation == pytest.approx(1.0, abs=1e-4)
 
 
 def test_orientation_of_a_shape_and_its_mirror_image(shape: Shape, samples: SampledShape, bumpy: Arrays) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from prepared import MIDDLE, PreparedPair
+from prepared import MIDDLE, PreparedPair, tiny_pair
 
 from clalign.alignment.views import aligned_side, sampled_factors
 from clalign.geometry.geodesics import all_pairs
+from clalign.geometry.mesh import mesh_from_arrays
+from clalign.geometry.shape import prepare
 
 
 @pytest.mark.parametrize("weights", ["area", "uniform"])
@@ -26,6 +28,15 @@ def test_sampled_factors_are_the_same_distances(middle: PreparedPair, samples: i
     exact = all_pairs(shape.mesh)[np.ix_(found.vertices, found.vertices)]
     residual = found.left @ found.core @ found.left.T - exact
     assert np.linalg.norm(residual) < 0.02 * np.linalg.norm(exact)
+
+
+def test_all_vertices_are_taken_where_the_geodesic_samples_are_all() -> None:
+    """Whatever number of samples was asked for."""
+    options = MIDDLE.replace({"geodesics.search_samples": 500, "alignment.samples": 50})
+    shape = prepare(mesh_from_arrays(*tiny_pair().source), options)
+    found = sampled_factors(shape, options.alignment)
+    np.testing.assert_array_equal(found.vertices, np.arange(shape.mesh.n_vertices))
+    np.testing.assert_array_equal(found.weights, shape.mass)
 
 
 def test_samples_spread_over_the_surface(middle: PreparedPair) -> None:

@@ -97,6 +97,52 @@ def test_entries_used_longest_ago_go_first(tmp_path: Path) -> None:
     assert cache.info().size <= cache.limit_bytes
 
 
+@pytest.mark.parametrize("number", [errno.EPERM, errno.EROFS, errno.ENOENT])
+def test_entry_whose_time_cannot_be_set_is_still_a_hit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, number: int
+) -> None:
+    """A file of another user, a read-only file system, and an entry that is evicted just after it was read."""
+    cache = ShapeCache(tmp_path)
+    cache.put(A, arrays())
+
+    def refused(path: Any) -> None:
+        if number == errno.ENOENT:
+            os.unlink(path)
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "utime", refused)
+    assert_same(cache.get(A), arrays())
+    assert (tmp_path / f"{A}.npz").exists() == (number != errno.ENOENT)
+    assert not caplog.records
+
+
+def test_files_that_cannot_be_removed_do_not_make_an_entry_unwritable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The entry used longest ago belongs to somebody else; the one after it goes in its place."""
+    one = sum(array.nbytes for array in arrays().values())
+    cache = ShapeCache(tmp_path, limit_bytes=int(2.5 * one))
+    leftover = tmp_path / f"{D}left.part"
+    leftover.write_text("unfinished")
+    foreign = {tmp_path / f"{A}.npz", leftover}
+    for age, key in enumerate((A, B)):
+        cache.put(key, arrays())
+        os.utime(tmp_path / f"{key}.npz", (1000 + age, 1000 + age))
+    os.utime(leftover, (1000, 1000))
+    unlink = Path.unlink
+
+    def refused(path: Path, missing_ok: bool = False) -> None:
+        if path in foreign:
+            raise PermissionError(errno.EPERM, "Operation not permitted")
+        unlink(path, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    assert cache.put(C, arrays())
+    assert not caplog.records
+    assert [cache.get(key) is not None for key in (A, B, C)] == [True, False, True]
+    assert leftover.exists()
+
+
 def test_entry_above_the_limit_is_not_stored(tmp_path: Path) -> None:
     cache = ShapeCache(tmp_path, limit_bytes=1000)
     assert not cache.put(A, arrays())

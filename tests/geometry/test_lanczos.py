@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import CancelledError
 from pathlib import Path
 from typing import Any
 
@@ -114,3 +120,68 @@ def test_solving_again_and_again_takes_no_more_memory(threads: int) -> None:
 
     before = solve_times(3)
     assert solve_times(12) - before < 12.0
+
+
+INTERRUPTED = """
+import os, time
+import analytic
+from clalign.geometry import lanczos, operators, spectra
+
+class Slow(lanczos._Basis):
+    # The pace of a mesh of a hundred thousand vertices: half a minute and more for either of the two slices.
+    def __init__(self, solve, *arguments):
+        def slowly(sides):
+            os.write(1, b"block\\n")
+            time.sleep(0.4)
+            return solve(sides)
+        super().__init__(slowly, *arguments)
+
+lanczos._Basis = Slow
+surface = analytic.bumpy(4)
+spectra.solve(operators.stiffness(*surface), operators.lumped_mass(*surface), 2 * lanczos.SLICE, threads=2)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+def test_after_ctrl_c_the_process_ends_without_finishing_its_slices() -> None:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    command = [sys.executable, "-c", INTERRUPTED]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as script:
+        assert script.stdout is not None
+        assert [script.stdout.readline() for _ in range(3)] == 3 * ["block\n"]
+        script.send_signal(signal.SIGINT)
+        sent = time.monotonic()
+        try:
+            rest, complaints = script.communicate(timeout=20)
+        finally:
+            script.kill()
+    assert time.monotonic() - sent < 5.0
+    assert script.returncode == -signal.SIGINT, complaints
+    assert complaints.endswith("KeyboardInterrupt\n")
+    # Those that were begun while the signal was on its way: either thread had more than sixty to go.
+    assert rest.count("block") < 20
+
+
+def test_a_slice_that_fails_ends_the_others(monkeypatch: pytest.MonkeyPatch, matrix: sparse.csc_matrix) -> None:
+    """One of two slices fails at once, the other one would go on until it is told to stop."""
+    compute, given_up = lanczos._slice, []
+
+    def one_fails(
+        matrix: sparse.csc_matrix, factor: Any, first: int, end: int, unit: float, stop: threading.Event
+    ) -> lanczos._Slice:
+        if first == 0:
+            raise ConvergenceError("did not converge")
+        assert stop.wait(20.0)
+        try:
+            return compute(matrix, factor, first, end, unit, stop)
+        except CancelledError:
+            given_up.append(first)
+            raise
+
+    monkeypatch.setattr(lanczos, "_slice", one_fails)
+    monkeypatch.setattr(lanczos, "SLICE", COUNT // 2)
+    with pytest.raises(ConvergenceError, match="did not converge"):
+        lanczos.lowest_pairs(matrix, COUNT, np.pi, threads=2)
+    assert len(given_up) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 
 import analytic
@@ -11,9 +12,10 @@ import scipy.linalg
 import scipy.sparse as sparse
 import shapes
 from numpy.typing import NDArray
+from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 from clalign.errors import ConvergenceError
-from clalign.geometry import lanczos, operators, spectra
+from clalign.geometry import factors, lanczos, operators, spectra
 from clalign.geometry.spectra import Spectrum, solve
 from clalign.options import SpectrumOptions
 
@@ -174,6 +176,39 @@ def test_inaccurate_pairs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         lbo(analytic.bumpy(3), 30)
 
 
+@pytest.mark.parametrize("solver", ["block", "arpack"])
+def test_singular_operators_are_a_convergence_error(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As SuperLU reports them: the pivot of a vertex without area or weights is exactly zero."""
+    surface = analytic.bumpy(3)
+    count = len(surface[0])
+    weights = operators.stiffness(*surface).tolil()
+    weights[5, :] = weights[:, 5] = 0.0
+    mass = np.ones(count)
+    # The shift of the factorisation would make the pivot positive.
+    monkeypatch.setattr(factors.sparse, "eye_array", lambda size: sparse.csc_array((size, size)))
+    with pytest.raises(ConvergenceError, match=r"singular.*clalign check") as caught:
+        solve(weights.tocsr(), mass, 30, solver)  # type: ignore[arg-type]
+    assert type(caught.value.__cause__) is RuntimeError
+    with pytest.raises(ConvergenceError, match=r"singular.*clalign check"):
+        operators.diffused(np.ones(count), mass, weights.tocsr(), 0.01)
+
+
+def test_arpack_that_gives_up_is_a_convergence_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spectra, "eigsh", functools.partial(eigsh, maxiter=1, ncv=31, tol=1e-14))
+    with pytest.raises(ConvergenceError, match=r"ARPACK gave up on 30 eigenpairs.*clalign check") as caught:
+        lbo(analytic.bumpy(3), 30, "arpack")
+    assert isinstance(caught.value.__cause__, ArpackNoConvergence)
+
+
+def test_a_dense_solver_that_gives_up_is_a_convergence_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gives_up(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("did not converge")
+
+    monkeypatch.setattr(scipy.linalg, "eigh", gives_up)
+    with pytest.raises(ConvergenceError, match=r"dense eigensolver gave up \(did not converge\).*clalign check"):
+        lbo(analytic.bumpy(1), 10)
+
+
 def test_inertia_counts_eigenvalues_below() -> None:
     surface = analytic.bumpy(3)
     mass = operators.lumped_mass(*surface)
@@ -182,7 +217,7 @@ def test_inertia_counts_eigenvalues_below() -> None:
     values = dense_values(surface, mass, 214)
     for index in (1, 10, 100, 200):
         middle = 0.5 * (values[index - 1] + values[index])
-        assert lanczos.count_below(matrix, middle) == index
+        assert factors.count_below(matrix, middle) == index
 
 
 def test_signs_do_not_depend_on_the_solver(rng: np.random.Generator) -> None:

@@ -38,8 +38,9 @@ def carried_products(
 
 
 def index_pairs(first: int, last: int) -> NDArray[np.int64]:
-    """Return all (a, b) with first ≤ a < b ≤ last."""
-    return np.array([(a, b) for a in range(first, last + 1) for b in range(a + 1, last + 1)], dtype=np.int64)
+    """Return all (a, b) with first ≤ a < b ≤ last, as (pairs, 2); there may be none."""
+    pairs = [(a, b) for a in range(first, last + 1) for b in range(a + 1, last + 1)]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def orientation_scores(
