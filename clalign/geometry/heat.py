@@ -5,6 +5,7 @@ It is imported by the interpreter of `heat_process` too, which starts the sooner
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +76,9 @@ class HeatMethod:
         return distances
 
 
-def farthest_points(surface: Surface, central: int, count: int, kept: int) -> FarthestPoints:
+def farthest_points(
+    surface: Surface, central: int, count: int, kept: int, watch: Callable[[], None] | None = None
+) -> FarthestPoints:
     """Sample vertices, each as far as possible from those before, and measure distances from them.
 
     Parameters
@@ -84,6 +87,7 @@ def farthest_points(surface: Surface, central: int, count: int, kept: int) -> Fa
     central : the first sample is the vertex farthest from this one.
     count : S, at most n.
     kept : N, at most S.
+    watch : called before every sample; what it raises ends the sampling.
 
     Raises
     ------
@@ -98,6 +102,8 @@ def farthest_points(surface: Surface, central: int, count: int, kept: int) -> Fa
     owner = np.zeros(n, dtype=np.int64)
     following = int(heat.row(central).argmax())
     for index in range(count):
+        if watch is not None:
+            watch()
         samples[index] = following
         rows[index] = heat.row(following)
         closer = rows[index] < gap

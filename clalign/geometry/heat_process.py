@@ -82,12 +82,11 @@ class HeatProcess:
         found = None
         if count * len(surface.vertices) >= WORTH_A_PROCESS and processor_count() > 1:
             found = self._asked(surface, np.array([central, count, kept]))
-        if self._stopped:
-            raise CancelledError
-        return farthest_points(surface, central, count, kept) if found is None else found
+        self._go_on()
+        return farthest_points(surface, central, count, kept, self._go_on) if found is None else found
 
     def stop(self) -> None:
-        """End the interpreter at once. Any thread may call this."""
+        """End the interpreter at once, and the work that is done here at its next sample. Any thread may call this."""
         with self._lock:
             self._stopped = True
             process = self._process
@@ -95,6 +94,11 @@ class HeatProcess:
             process.kill()
             process.wait()
             _close(process)
+
+    def _go_on(self) -> None:
+        """Raise CancelledError after `stop`."""
+        if self._stopped:
+            raise CancelledError
 
     def _asked(self, surface: Surface, numbers: NDArray[np.int64]) -> FarthestPoints | None:
         """Return the interpreter's answer, or None where there is none."""

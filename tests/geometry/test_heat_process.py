@@ -15,12 +15,13 @@ from pathlib import Path
 import analytic
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from waiting import wait_until
 
 from clalign.errors import MemoryBudgetError, MeshError
 from clalign.geometry import heat_process, heat_server, shape
 from clalign.geometry.geodesics import farthest_point_geodesics
-from clalign.geometry.heat import FarthestPoints, Surface, farthest_points
+from clalign.geometry.heat import FarthestPoints, HeatMethod, Surface, farthest_points
 from clalign.geometry.heat_process import HeatProcess
 from clalign.geometry.mesh import Mesh
 from clalign.geometry.operators import lumped_mass
@@ -268,6 +269,23 @@ def test_stopping_ends_a_process_that_is_at_work(bumpy: Surface, monkeypatch: py
     assert gone(number)
     with pytest.raises(CancelledError):
         heat.farthest_points(bumpy, 5, 6, 2)
+
+
+def test_stopping_ends_what_is_computed_in_this_process(bumpy: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On one processor; the interpreter would wait at its exit for the last sample."""
+    monkeypatch.setattr(heat_process, "processor_count", lambda: 1)
+    heat, plain, rows = HeatProcess(), HeatMethod.row, []
+
+    def row(method: HeatMethod, vertex: int) -> NDArray[np.float64]:
+        rows.append(vertex)
+        if len(rows) == 4:
+            heat.stop()
+        return plain(method, vertex)
+
+    monkeypatch.setattr(HeatMethod, "row", row)
+    with pytest.raises(CancelledError):
+        heat.farthest_points(bumpy, 5, 60, 20)
+    assert len(rows) == 4
 
 
 def test_an_interrupt_during_preparation_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
