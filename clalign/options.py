@@ -30,16 +30,23 @@ def _require(condition: bool, message: str) -> None:
         raise OptionError(message)
 
 
+def _finite(value: float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
+
+
 def _positive(group: str, options: Any, *names: str) -> None:
     for name in names:
         value = getattr(options, name)
-        _require(value > 0 and math.isfinite(value), f"{group}.{name} must be a positive number, got {value!r}")
+        _require(value > 0 and _finite(value), f"{group}.{name} must be a positive number, got {value!r}")
 
 
 def _not_negative(group: str, options: Any, *names: str) -> None:
     for name in names:
         value = getattr(options, name)
-        _require(value >= 0 and math.isfinite(value), f"{group}.{name} must not be negative, got {value!r}")
+        _require(value >= 0 and _finite(value), f"{group}.{name} must not be negative, got {value!r}")
 
 
 def _check_choices(group: str, options: Any) -> None:
@@ -106,7 +113,7 @@ class GeodesicOptions:
     def __post_init__(self) -> None:
         for name in ("factor_samples", "search_samples"):
             value = getattr(self, name)
-            _require(value >= 2, f"geodesics.{name} must be at least 2, got {value!r}")
+            _require(value >= 2 and _finite(value), f"geodesics.{name} must be at least 2, got {value!r}")
         _not_negative("geodesics", self, "dense_below")
 
 

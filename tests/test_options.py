@@ -64,7 +64,7 @@ def test_every_number_refuses_words(name: str) -> None:
     "name",
     [n for n in NAMES if isinstance(read(Options(), n), int | float) and not isinstance(read(Options(), n), bool)],
 )
-@pytest.mark.parametrize("value", ["-1", "nan", "inf"])
+@pytest.mark.parametrize("value", ["-1", "nan", "inf", "1" + 400 * "0"], ids=["negative", "nan", "inf", "huge"])
 def test_every_number_refuses_negative_and_infinite_values(name: str, value: str) -> None:
     with pytest.raises(OptionError, match=name):
         Options().replace({name: value})

@@ -111,7 +111,10 @@ def matched(
     """
     if queries.shape[0] * points.shape[0] > EXHAUSTIVE:
         here, there = orders
-        return nearest_in_cells(backend, backend.numpy(queries)[here.places], backend.numpy(points)[there.places])
+        index = nearest_in_cells(backend, backend.numpy(queries), backend.numpy(points))
+        found = np.empty(index.size, dtype=np.int64)
+        found[here.vertices] = there.vertices[index]
+        return found
     return nearest_vertices(backend, queries, points, orders, guess)
 
 
