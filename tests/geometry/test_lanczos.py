@@ -123,9 +123,12 @@ def test_solving_again_and_again_takes_no_more_memory(threads: int) -> None:
 
 
 INTERRUPTED = """
-import os, time
+import os, signal, time
 import analytic
 from clalign.geometry import lanczos, operators, spectra
+
+# Whoever runs the tests in the background of a shell may have it ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 class Slow(lanczos._Basis):
     # The pace of a mesh of a hundred thousand vertices: half a minute and more for either of the two slices.
