@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +12,16 @@ from numpy.typing import NDArray
 from clalign.errors import InputError
 from clalign.evaluation.errors import THRESHOLDS, area_under_curve
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 Unit = Literal["sqrt_area", "diameter"]
 AXIS_LABELS: dict[Unit, str] = {
     "sqrt_area": "geodesic error / √area",
     "diameter": "geodesic error / diameter",
 }
+COLOURS = 10
+LINE_STYLES = ("-", "--", ":")
 
 
 def save_error_curves(
@@ -50,14 +55,33 @@ def save_error_curves(
         from matplotlib.figure import Figure
     except ImportError as error:
         raise InputError("pictures of curves need matplotlib: pip install 'clalign[plots]'") from error
-    figure = Figure(figsize=(5.6, 3.8), layout="constrained")
-    axes = figure.add_subplot()
-    for label, curve in curves.items():
-        axes.plot(THRESHOLDS, 100 * curve, label=f"{label} ({area_under_curve(curve):.3f})", linewidth=1.6)
-    axes.set(xlim=(0, largest), ylim=(0, 101), xlabel=AXIS_LABELS[unit], ylabel="% of points", title=title)
-    axes.grid(alpha=0.3)
-    axes.legend(loc="lower right", fontsize="small", title="area under the curve in brackets", title_fontsize="small")
+    figure = Figure(figsize=(5.6, 3.8 + legend_height(len(curves))), layout="constrained")
+    axes = figure.add_subplot(title=title)
+    plot_error_curves(axes, curves, unit, largest)
     try:
         figure.savefig(path, dpi=160)
     except (ValueError, OSError) as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def plot_error_curves(axes: Axes, curves: Mapping[str, NDArray[np.float64]], unit: Unit, largest: float) -> None:
+    """Plot curves with their names below, where they hide none, however many there are."""
+    for number, (label, curve) in enumerate(curves.items()):
+        style = LINE_STYLES[number // COLOURS % len(LINE_STYLES)]
+        named = f"{label} ({area_under_curve(curve):.3f})"
+        axes.plot(THRESHOLDS, 100 * curve, style, color=f"C{number % COLOURS}", label=named, linewidth=1.6)
+    axes.set(xlim=(0, largest), ylim=(0, 101), xlabel=AXIS_LABELS[unit], ylabel="% of points")
+    axes.grid(alpha=0.3)
+    axes.legend(
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.16),
+        frameon=False,
+        fontsize="x-small",
+        title="area under the curve in brackets",
+        title_fontsize="x-small",
+    )
+
+
+def legend_height(count: int) -> float:
+    """Return the inches that the names of so many curves take."""
+    return 0.25 + 0.16 * count

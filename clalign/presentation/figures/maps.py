@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
-from clalign.evaluation.errors import THRESHOLDS, Evaluation, area_under_curve
-from clalign.presentation.curves import AXIS_LABELS, Unit
+from clalign.evaluation.errors import THRESHOLDS, Evaluation
+from clalign.presentation.curves import AXIS_LABELS, Unit, legend_height, plot_error_curves
 from clalign.presentation.surface_map import surface_map
 
 from .eigenfunctions import _panels
@@ -29,14 +29,10 @@ def draw_error_curves(curves: Mapping[Unit, Curves]) -> Drawing:
     ----------
     curves : unit to label to (251,) shares at `clalign.evaluation.errors.THRESHOLDS`.
     """
-    figure = new_figure(9.0, 3.7)
     units = [unit for unit in AXIS_LABELS if unit in curves][::-1]
+    figure = new_figure(9.0, 3.7 + legend_height(max(len(curves[unit]) for unit in units)))
     for axes, unit in zip(np.atleast_1d(figure.subplots(1, len(units))), units, strict=True):
-        for label, curve in curves[unit].items():
-            axes.plot(THRESHOLDS, 100 * curve, label=f"{label} ({area_under_curve(curve):.3f})", linewidth=1.5)
-        axes.set(xlim=(0, THRESHOLDS[-1]), ylim=(0, 101), xlabel=AXIS_LABELS[unit], ylabel="% of points")
-        axes.grid(alpha=0.3)
-        axes.legend(loc="best", fontsize="x-small", title="area under the curve in brackets", title_fontsize="x-small")
+        plot_error_curves(axes, curves[unit], unit, float(THRESHOLDS[-1]))
     figure.set_layout_engine("constrained")
     named = [(f"{label} / {unit}", curve) for unit in units for label, curve in curves[unit].items()]
     rows = tuple(
