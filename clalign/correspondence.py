@@ -167,15 +167,19 @@ class Correspondence:
             "source": _mesh_facts(self.source),
             "target": _mesh_facts(self.target),
             "device": self.device,
-            "confidence": _plain(self.confidence),
-            "orientation": _plain(self.orientation),
-            "score": _plain(self.score),
-            "losses": {name: _plain(value) for name, value in self.losses.items()},
+            "confidence": finite_or_none(self.confidence),
+            "orientation": finite_or_none(self.orientation),
+            "score": finite_or_none(self.score),
+            "losses": {name: finite_or_none(value) for name, value in self.losses.items()},
             "counts": self._counts(),
-            "timings": {name: _plain(value) for name, value in self.timings.items()},
+            "timings": {name: finite_or_none(value) for name, value in self.timings.items()},
             "warnings": list(self.warnings),
             "alternatives": [
-                {"score": _plain(a.score), "orientation": _plain(a.orientation), "distance": _plain(a.distance)}
+                {
+                    "score": finite_or_none(a.score),
+                    "orientation": finite_or_none(a.orientation),
+                    "distance": finite_or_none(a.distance),
+                }
                 for a in self.alternatives
             ],
             "options": self.options.as_dict(),
@@ -243,9 +247,9 @@ class Correspondence:
             raise ResultError(f"{folder}: the result is damaged: {detail}; match the meshes again") from error
 
 
-def _plain(value: float) -> float | None:
-    """JSON has no NaN and no infinity: what is not a number becomes null."""
-    return float(value) if math.isfinite(value) else None
+def finite_or_none(value: float | None) -> float | None:
+    """Return None for what is not a finite number: JSON and tables have no NaN."""
+    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def _number(value: float | None) -> float:

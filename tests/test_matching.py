@@ -97,3 +97,11 @@ def test_notes_and_an_interrupt_are_kept_without_being_raised(monkeypatch: pytes
     assert [str(each.message) for each in seen] == [text for text in result.warnings if NOT_SEARCHED in text]
     assert any(result.source.notes[0] in text for text in result.warnings)
     assert seen[0].filename == __file__
+
+
+def test_without_a_search_there_is_no_confidence() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ClalignWarning)
+        result, _ = by_match()
+    assert np.isnan(result.confidence)
+    assert result.facts()["confidence"] is None

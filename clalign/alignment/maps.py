@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.nearness import Orders, VertexOrder, in_order, nearest_vertices
+from clalign.alignment.nearness import Orders, VertexOrder, in_order, nearest_vertices, numbered
 from clalign.engine.backend import Backend
 from clalign.engine.near_cells import nearest_in_cells
 from clalign.geometry.spectra import Spectrum
@@ -110,11 +110,7 @@ def matched(
     guess : (m,) vertices that are nearly right, or None.
     """
     if queries.shape[0] * points.shape[0] > EXHAUSTIVE:
-        here, there = orders
-        index = nearest_in_cells(backend, backend.numpy(queries), backend.numpy(points))
-        found = np.empty(index.size, dtype=np.int64)
-        found[here.vertices] = there.vertices[index]
-        return found
+        return numbered(nearest_in_cells(backend, backend.numpy(queries), backend.numpy(points)), orders)
     return nearest_vertices(backend, queries, points, orders, guess)
 
 

@@ -100,8 +100,13 @@ def nearest_vertices(
     """
     here, there = orders
     placed = None if guess is None else there.places[guess[here.vertices]]
-    index = nearest_in_order(backend, queries, points, backend.half_squares(points), placed)
-    found = np.empty(here.vertices.size, dtype=np.int64)
+    return numbered(nearest_in_order(backend, queries, points, backend.half_squares(points), placed), orders)
+
+
+def numbered(index: NDArray[np.integer], orders: Orders) -> NDArray[np.int64]:
+    """Return a map between places (m,) as one between vertices: of the shape of the queries and that of the points."""
+    here, there = orders
+    found = np.empty(index.size, dtype=np.int64)
     found[here.vertices] = there.vertices[index]
     return found
 

@@ -111,7 +111,7 @@ class AlignmentProblem:
         options: AlignmentOptions,
     ) -> None:
         self.source, self.target, self.factors = source, target, factors
-        self.band, self.across, self.backend, self.options = band, band.transposed, backend, options
+        self.band, self.backend, self.options = band, backend, options
         self._positions = band_positions(band)
         array = backend.array
         self._projection_x, self._projection_y = array(source.projection), array(target.projection)
@@ -137,8 +137,8 @@ class AlignmentProblem:
             self._form_y = cheaper_form(backend, target, len(factors.vertices))
             return
         # Its gradient goes through packed moments.
-        self._form_y, self._form_x = quadratic_form(backend, target), quadratic_form(backend, source)
-        self._normal_y = None if target.normal is None else array(target.normal)
+        towards_y = quadratic_form(backend, target)
+        self._form_y, self._form_x, self._normal_y = towards_y, quadratic_form(backend, source), towards_y.normal
         self._basis_y, self._soft_weights_y = array(target.basis), array(target.soft_weights)
         self._core_all_x = array(source.core)
         first, second = np.triu_indices(source.basis.shape[1])
@@ -186,7 +186,7 @@ class AlignmentProblem:
         source = backend.banded_product(self._descriptors_x, turn, right=self.band)
         if self._one_sided:
             return source, self._descriptors_y
-        return source, backend.banded_product(self._descriptors_y, turned, right=self.across)
+        return source, backend.banded_product(self._descriptors_y, turned, right=self.band.transposed)
 
     def functional_map(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return C (k_y, k_x) from R by least squares (Eq. 11, 26)."""
@@ -234,7 +234,7 @@ class AlignmentProblem:
         alpha = self.backend.banded_product(self._projection_x, rotation, right=self.band)
         if self._one_sided:
             return alpha, self._projection_y
-        return alpha, self.backend.banded_product(self._projection_y, turned, right=self.across)
+        return alpha, self.backend.banded_product(self._projection_y, turned, right=self.band.transposed)
 
     def _solve(self, alpha: Any, beta: Any) -> tuple[Any, Any]:
         """Return C = β αᵀ (α αᵀ + ρ I)⁻¹ and the Gram matrix α αᵀ."""
@@ -333,7 +333,7 @@ class AlignmentProblem:
     def _unitarity(self, rotation: Any, turned: Any, gradient: Any) -> Any:
         """Return d² l_uni (Eq. 23); its penalty, if any, is added to `gradient`."""
         backend, size = self.backend, self.band.size
-        excess = backend.banded_product(rotation, turned, left=self.band, right=self.across)
+        excess = backend.banded_product(rotation, turned, left=self.band, right=self.band.transposed)
         backend.add(excess, self._identity, scale_b=-1.0, out=excess)
         flat = excess.reshape(size * size, 1)
         if self.options.unitarity > 0:

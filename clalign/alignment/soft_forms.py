@@ -65,8 +65,8 @@ SoftForm: TypeAlias = QuadraticForm | StreamedForm
 def evaluation_cost(rows: int, vertices: int, functions: int, rank: int) -> tuple[int, int]:
     """Return the multiply-adds of value and gradient of one soft map, by the quadratic and by the streamed form.
 
-    Both run at about the same rate, so that these numbers alone decide: on two cores of a CPU at 120 and 133 thousand
-    million a second with k = 120, r = 50 and 1,000 rows. There the counts meet at 1,578 vertices, the times near 1,750.
+    Both run at about the same rate (``clalign bench kernels`` measures them side by side), so that these numbers alone
+    decide.
 
     Parameters
     ----------

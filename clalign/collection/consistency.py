@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.collection.network import MapEdges, Network, cycle_errors, cycle_weights, polar_factors, synchronise
-from clalign.collection.rows import PairRow, finite
+from clalign.collection.rows import PairRow
 from clalign.collection.store import Store
+from clalign.correspondence import finite_or_none
 
 WRONG = 0.5
 """A map that deviates from the network's by more than this is a different one: a flip of left and right has about 1."""
@@ -72,7 +73,9 @@ def judged(store: Store, names: Sequence[str], rows: Sequence[PairRow], *, wrong
     judged_rows = list(rows)
     for place, index in enumerate(used):
         judged_rows[index] = replace(
-            rows[index], cycle_error=finite(cycles[place]), network_error=finite(network.residuals[place])
+            rows[index],
+            cycle_error=finite_or_none(cycles[place]),
+            network_error=finite_or_none(network.residuals[place]),
         )
     contradicting = tuple(index for place, index in enumerate(used) if network.residuals[place] > wrong)
     return Verdict(network, tuple(judged_rows), contradicting, _digest(network.frames))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, fields
@@ -94,11 +93,6 @@ class ShapeRow:
 
 
 Row = TypeVar("Row", PairRow, ShapeRow)
-
-
-def finite(value: float | None) -> float | None:
-    """Return None for what is not a finite number."""
-    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def plain(row: PairRow) -> dict[str, Any]:

@@ -19,10 +19,10 @@ from clalign.alignment.maps import PointMaps, two_way_functional_map
 from clalign.alignment.pipeline import Clock
 from clalign.collection.derive import derived_correspondence
 from clalign.collection.members import Member
-from clalign.collection.rows import Kind, PairRow, ShapeRow, finite
+from clalign.collection.rows import Kind, PairRow, ShapeRow
 from clalign.collection.session import Settings, session
 from clalign.collection.store import RESULT_FOLDER, PairMaps, Room, pair_key
-from clalign.correspondence import Correspondence
+from clalign.correspondence import Correspondence, finite_or_none
 from clalign.engine import Reference
 from clalign.errors import ClalignError
 from clalign.evaluation.numbering import compact_of_file
@@ -165,12 +165,12 @@ def _row(source: Member, target: Member, kind: Kind, result: Correspondence) -> 
         source.name,
         target.name,
         kind,
-        confidence=finite(result.confidence) if kind == "direct" else None,
-        orientation=finite(result.orientation),
-        distortion=finite(float(result.source_basis.mass @ result.distortion / result.source_basis.mass.sum())),
-        total=finite(result.losses.get("total")),
-        align=finite(result.losses.get("align")),
-        unsup=finite(result.losses.get("unsup")),
+        confidence=finite_or_none(result.confidence) if kind == "direct" else None,
+        orientation=finite_or_none(result.orientation),
+        distortion=finite_or_none(float(result.source_basis.mass @ result.distortion / result.source_basis.mass.sum())),
+        total=finite_or_none(result.losses.get("total")),
+        align=finite_or_none(result.losses.get("align")),
+        unsup=finite_or_none(result.losses.get("unsup")),
         stages=";".join(f"{name}={seconds:.3f}" for name, seconds in result.timings.items()),
         warnings=" | ".join(result.warnings),
         device=result.device,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -59,7 +60,7 @@ class Band:
         offsets = np.concatenate([[0], np.cumsum(high - low)]).astype(np.int32)
         return Band(low, high, offsets)
 
-    @property
+    @cached_property
     def transposed(self) -> Band:
         """The band of the transpose.
 

@@ -84,10 +84,9 @@ class KernelLosses(KernelProducts):
             self.add(slope, slope, scale_a=0.0, scale_b=0.0, out=denominator_slope)
             other, factor, trace_of = g_xy, -2.0, g_y
         else:
-            across = band.transposed
             self.banded_product(r, g_y, left=band, kept=band, scale=2.0, out=denominator_slope)
-            self.banded_product(g_xy, turned, right=across, kept=band, scale=-2.0, accumulate=True, out=slope)
-            self.banded_product(turned, g_xy, left=across, kept=band, scale=-2.0, accumulate=True, out=slope)
+            self.banded_product(g_xy, turned, right=band.transposed, kept=band, scale=-2.0, accumulate=True, out=slope)
+            self.banded_product(turned, g_xy, left=band.transposed, kept=band, scale=-2.0, accumulate=True, out=slope)
             other, factor, trace_of = denominator_slope, 1.0, None
         partial = self._work("alignment", 2, d)
         rows, values = (self.device.kernel("alignment", name) for name in ("band_rows", "alignment_values"))

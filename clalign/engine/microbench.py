@@ -285,7 +285,6 @@ def sequence_case(kernels: Kernels, size: Size, rng: np.random.Generator) -> Cas
     """One evaluation of value and gradient: from packed R to both losses and back, without reading anything back."""
     n, k, d, r = size.n, size.k, size.d, size.r
     band = _funnel(d)
-    across = band.transposed
     make: Callable[..., Any] = lambda *shape: kernels.array(_random(rng, *shape))  # noqa: E731
     x, f, h, phi, square = make(band.count), make(k, d), make(k, d), make(n, k), make(d, d)
     packed, core, left, w = make(pair_count(k), r), make(r, r), make(n, r), make(n)
@@ -301,7 +300,7 @@ def sequence_case(kernels: Kernels, size: Size, rng: np.random.Generator) -> Cas
         rotation = kernels.band_expand(x, band, out=small["r"])
         alpha = kernels.banded_product(f, rotation, right=band, out=small["a"])
         turned = kernels.transpose(rotation, out=small["rt"])
-        beta = kernels.banded_product(h, turned, right=across, out=small["b"])
+        beta = kernels.banded_product(h, turned, right=band.transposed, out=small["b"])
         gram = kernels.product(alpha, alpha, transpose_b=True, out=small["gram"])
         rhs = kernels.product(beta, alpha, transpose_b=True, out=small["rhs"])
         c = kernels.solve_right(gram, rhs, 1e-6, out=small["c"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -196,6 +195,8 @@ def uninterrupted(result: Correspondence) -> Correspondence:
 
 def outcome_of(result: Correspondence, seconds: float) -> Outcome:
     """Return what a benchmark keeps of a result."""
+    from clalign.correspondence import finite_or_none
+
     result = uninterrupted(result)
     barycentric = None
     if result.source_faces is not None and result.source_barycentric is not None:
@@ -204,8 +205,8 @@ def outcome_of(result: Correspondence, seconds: float) -> Outcome:
         target_of_source=result.target_of_source,
         seconds=seconds,
         stages=result.timings,
-        confidence=None if math.isnan(result.confidence) else result.confidence,
-        orientation=None if math.isnan(result.orientation) else result.orientation,
+        confidence=finite_or_none(result.confidence),
+        orientation=finite_or_none(result.orientation),
         barycentric=barycentric,
     )
 

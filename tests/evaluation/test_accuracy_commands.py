@@ -179,6 +179,7 @@ def test_bench_animals_when_interrupted(
         (["--jobs", "0"], "jobs must be at least 1"),
         (["--pairs", "none.txt"], "no pairs file"),
         (["--out", __file__], "cannot make this folder"),
+        (["--update", "page.md", "--limit", "1"], "a part of the pairs into the section 'humans'"),
     ],
 )
 def test_bench_says_what_is_wrong(

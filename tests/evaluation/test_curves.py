@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from clalign.errors import InputError
 from clalign.evaluation.errors import THRESHOLDS, error_curve
-from clalign.presentation.curves import save_error_curves
+from clalign.presentation.curves import plot_error_curves, save_error_curves
 
 CURVES = {"ours": error_curve(np.linspace(0, 0.05, 100)), "pyFM": error_curve(np.linspace(0, 0.2, 100))}
 
@@ -41,3 +42,16 @@ def test_what_cannot_be_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(InputError, match="need matplotlib"):
         save_error_curves(CURVES, tmp_path / "curve.png")
+
+
+def test_many_curves_can_be_told_apart() -> None:
+    rng = np.random.default_rng(0)
+    figure = Figure(layout="constrained")
+    axes = figure.add_subplot()
+    plot_error_curves(axes, {f"method {number}": rng.random(THRESHOLDS.size) for number in range(14)}, "diameter", 0.25)
+    drawn = {(line.get_color(), line.get_linestyle()) for line in axes.lines}
+    assert len(drawn) == 14
+    figure.draw_without_rendering()
+    legend = axes.get_legend()
+    assert legend is not None
+    assert legend.get_window_extent().y1 < axes.bbox.y0

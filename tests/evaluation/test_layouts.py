@@ -169,8 +169,21 @@ def test_remeshed_faust_uses_vts_counted_from_one(tmp_path: Path, inner: str) ->
     assert errors_of_nearest(layout.pairs[0])[0] < 0.05
 
 
-def test_classes_of_one_connectivity(tmp_path: Path) -> None:
-    datasets.write_poses(tmp_path, ["cat0", "cat2", "cat10", "dog1", "dog5", "horse0"], ".off")
+def test_remeshed_faust_is_not_read_as_the_identity(tmp_path: Path) -> None:
+    datasets.write_remeshed(tmp_path, ["tr_reg_000", "tr_reg_001"], ".vts", base=1)
+    with pytest.raises(ResultError, match=r"corres/\*\.vts, which 'clalign bench faust --root' reads"):
+        humans(tmp_path)
+
+
+def test_registrations_are_found_below_the_folder_that_is_downloaded(tmp_path: Path) -> None:
+    datasets.write_poses(tmp_path / "training" / "registrations", ["tr_reg_000", "tr_reg_001"])
+    (layout,) = faust(tmp_path)
+    assert names(layout) == ["tr_reg_000 tr_reg_001"]
+
+
+@pytest.mark.parametrize("suffix", [".off", ".ply"])
+def test_classes_of_one_connectivity(tmp_path: Path, suffix: str) -> None:
+    datasets.write_poses(tmp_path, ["cat0", "cat2", "cat10", "dog1", "dog5", "horse0"], suffix)
     (layout,) = faust(tmp_path)
     assert names(layout) == ["cat0 cat2", "cat0 cat10", "dog1 dog5"]
     assert layout.problems == ()

@@ -71,6 +71,22 @@ def test_command_writes_one_table_a_study_and_marks_the_default(
     assert [row["pair"] for row in rows] == ["ap0 ap1", "ap0 ap2"]
 
 
+def test_command_takes_the_layout_of_faust_and_a_section(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study, "AlignMethod", lambda name, options: NearestMethod(name))
+    root, page = tmp_path / "faust", tmp_path / "page.md"
+    datasets.write_poses(root, [f"tr_reg_{number:03d}" for number in (0, 1, 10)])
+    page.write_text("<!-- table:own-rounds -->\n<!-- /table:own-rounds -->\n", encoding="utf-8")
+    command = ["bench", "study", "--of", "rounds", "--out", str(tmp_path / "out"), "--quiet"]
+    assert main([*command, "--root", str(root), "--update", str(page), "--section", "own"]) == 0
+    assert "| **rounds = 3** (default) | 1 |" in page.read_text(encoding="utf-8")
+    for folders in ([], [str(root), "--root", str(root)]):
+        capsys.readouterr()
+        assert main([*command, *folders]) == 2
+        assert "name either a folder in the layout of the humans, or with --root" in capsys.readouterr().err
+
+
 def test_table_repeats_the_base_for_each_of_its_rows() -> None:
     base = Options()
     settings = settings_of("samples", base)

@@ -20,6 +20,7 @@ from clalign.evaluation.errors import THRESHOLDS
 from clalign.evaluation.pairs import Problem
 from clalign.evaluation.spectral_errors import TrueMaps, spectral_errors, true_maps
 from clalign.evaluation.truth import Truth
+from clalign.options import Options
 from clalign.presentation.figures.eigenfunctions import draw_eigenfunctions, draw_pair_rotation, draw_variants
 from clalign.presentation.figures.gallery import PLANS
 from clalign.presentation.figures.maps import draw_error_curves, draw_matched_colours, draw_mirrored
@@ -226,6 +227,7 @@ def test_command_without_a_truth(folder: Path, capsys: pytest.CaptureFixture[str
         (["--which", "4"], "--which 4: there are 1, 2, 3, 5, 6, 7, 8, 9 and 'all'"),
         (["--which", ","], "there are 1, 2, 3"),
         (["--which", "1", "--set", "seed"], "GROUP.NAME=VALUE"),
+        (["--which", "1", "--set", "seed=3"], "--set changes nothing of a result that is there"),
         (["--which", "1", "--height", "3"], "--height must be at least 20"),
     ],
 )
@@ -234,6 +236,20 @@ def test_command_says_what_is_wrong(
 ) -> None:
     assert main(["figures", str(folder / "result"), "--out", str(folder / "out"), *more]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_variants_are_not_compared_with_a_result_of_other_options(
+    folder: Path, small: Correspondence, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = replace(small, options=Options.preset("paper"))
+    other.save(folder / "other")
+    command = ["figures", str(folder / "other"), "--truth", "identity", "--out", str(folder / "out")]
+    command += ["--height", "50"]
+    assert main([*command, "--which", "1,9"]) == 2
+    assert "figure 9 cannot be drawn of a result with options of its own" in capsys.readouterr().err
+    assert main([*command, "--which", "all"]) == 0
+    assert "there is no figure 5, 7, 8, 9 of a result with options of its own" in capsys.readouterr().err
+    assert {path.stem for path in (folder / "out").glob("*.png")} == {f"figure-{number}" for number in (1, 2, 3, 6)}
 
 
 def test_command_takes_one_result_or_two_meshes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.correspondence import Alternative, Correspondence
+from clalign.correspondence import Alternative, Correspondence, finite_or_none
 from clalign.evaluation.errors import Evaluation
 from clalign.geometry.mesh import Mesh
 from clalign.presentation.camera import Up, front_view
@@ -87,17 +87,17 @@ def _add_maps(correspondence: Correspondence, arrays: dict[str, NDArray[np.gener
     described: list[dict[str, Any]] = [
         {
             "label": "the chosen map",
-            "orientation": _number(correspondence.orientation),
-            "score": _number(correspondence.score),
+            "orientation": finite_or_none(correspondence.orientation),
+            "score": finite_or_none(correspondence.score),
             "distance": 0.0,
         }
     ]
     described += [
         {
             "label": f"alternative {rank}",
-            "orientation": _number(other.orientation),
-            "score": _number(other.score),
-            "distance": _number(other.distance),
+            "orientation": finite_or_none(other.orientation),
+            "score": finite_or_none(other.score),
+            "distance": finite_or_none(other.distance),
         }
         for rank, other in enumerate(correspondence.alternatives, start=1)
     ]
@@ -144,13 +144,13 @@ def _agreement(
     pulled = to_target.pull(on_target)
     inner = (weight * on_source * pulled).sum(axis=0)
     norms = np.sqrt((weight * on_source**2).sum(axis=0) * (weight * pulled**2).sum(axis=0))
-    return [_number(value) for value in inner / np.where(norms > 0, norms, 1.0)]
+    return [finite_or_none(value) for value in inner / np.where(norms > 0, norms, 1.0)]
 
 
 def _history(correspondence: Correspondence) -> dict[str, list[float | None]]:
-    columns = {"round": [_number(entry.get("round", 0)) for entry in correspondence.history]}
+    columns = {"round": [finite_or_none(entry.get("round", 0)) for entry in correspondence.history]}
     for name in _HISTORY_LINES:
-        values = [_number(entry.get(name, math.nan)) for entry in correspondence.history]
+        values = [finite_or_none(entry.get(name, math.nan)) for entry in correspondence.history]
         if any(value is not None and value != 0 for value in values):
             columns[name] = values
     return columns
@@ -161,11 +161,11 @@ def _evaluation(evaluation: Evaluation) -> dict[str, Any]:
     return {
         "points": values["points"],
         "distances": values["distances"],
-        "exact": _number(evaluation.exact),
-        "mean": _number(evaluation.mean),
-        "median": _number(evaluation.median),
-        "mirrored_mean": None if evaluation.mirrored_mean is None else _number(evaluation.mirrored_mean),
-        "area_under_curve": _number(evaluation.area_under_curve()),
+        "exact": finite_or_none(evaluation.exact),
+        "mean": finite_or_none(evaluation.mean),
+        "median": finite_or_none(evaluation.median),
+        "mirrored_mean": None if evaluation.mirrored_mean is None else finite_or_none(evaluation.mirrored_mean),
+        "area_under_curve": finite_or_none(evaluation.area_under_curve()),
         "threshold": values["curve"]["threshold"],
         "share": values["curve"]["per_sqrt_area"],
     }
@@ -183,13 +183,9 @@ def _mesh_facts(mesh: Mesh) -> dict[str, Any]:
         "file": Path(mesh.path).name if mesh.path else None,
         "vertices": mesh.n_vertices,
         "faces": mesh.n_faces,
-        "scale": _number(mesh.scale),
+        "scale": finite_or_none(mesh.scale),
         "notes": list(mesh.notes),
     }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _bytes(colours: NDArray[np.float64]) -> NDArray[np.uint8]:
