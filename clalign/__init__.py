@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         ResultError,
     )
     from .evaluation.errors import evaluate
-    from .matching import match
+    from .matching.pair import match
     from .options import Options
 
 __version__ = "0.1.0"
@@ -51,7 +51,7 @@ _HOMES = {
     "ResultError": "errors",
     "bundled_pair": "data",
     "evaluate": "evaluation.errors",
-    "match": "matching",
+    "match": "matching.pair",
     "match_collection": "collection.run",
 }
 

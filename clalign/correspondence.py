@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import OptionError, ResultError
-from clalign.geometry.mesh import Mesh
 from clalign.geometry.spectra import Spectrum
+from clalign.maps.point_maps import check_map, write_map
+from clalign.mesh.mesh import Mesh
 from clalign.options import Options
 from clalign.storage import atomic_folder, recover
-from clalign.vertex_maps import check_map, write_map
 
 RESULT_FORMAT = 1
 #: How the warning of a match begins that Ctrl-C has cut short.

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from .errors import OptionError
+from clalign.errors import OptionError
 
 Metric = Literal["euclidean", "regularized", "power", "heat-kernel", "auto"]
 Weights = Literal["area", "uniform"]

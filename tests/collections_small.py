@@ -40,7 +40,7 @@ def mean_error(
     target_of_source: NDArray[np.int32], folder: Path, pair: tuple[str, str], numbers: dict[str, NDArray[np.int64]]
 ) -> float:
     """Return the mean straight distance from the matches to the truth, in sqrt(area)."""
-    from clalign.geometry.mesh import load_mesh
+    from clalign.mesh.mesh import load_mesh
 
     target = load_mesh(folder / f"{pair[1]}.off").vertices
     truth = numbers[pair[1]][np.argsort(numbers[pair[0]])]

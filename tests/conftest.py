@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import fabricated
 import numpy as np
@@ -16,7 +17,10 @@ from numpy.typing import NDArray
 from shapes import Pair
 
 if TYPE_CHECKING:
+    from prepared import Bound, PreparedPair
+
     from clalign.correspondence import Correspondence
+    from clalign.engine import Backend, Reference
 
 # Set before any driver or library reads them: a test must neither profit from nor harm what is cached on the machine.
 _SCRATCH = Path(tempfile.mkdtemp(prefix="clalign-tests-"))
@@ -57,7 +61,7 @@ def bumpy_pair() -> Pair:
 def human_pair() -> Pair:
     """The bundled pair at 1,500 vertices, each mesh numbered in its own order."""
     from clalign.data import bundled_pair
-    from clalign.geometry.mesh import load_mesh
+    from clalign.mesh.mesh import load_mesh
 
     paths = bundled_pair()
     source, target = load_mesh(paths.source), load_mesh(paths.target)
@@ -89,3 +93,44 @@ def bumpy_files(tmp_path: Path, bumpy_pair: Pair) -> tuple[Path, Path, Path]:
 def true_correspondence(bumpy_pair: Pair) -> Correspondence:
     """The result that a perfect matcher would return for `bumpy_pair`, built from its truth."""
     return fabricated.correspondence(bumpy_pair.source, bumpy_pair.target, bumpy_pair.truth)
+
+
+@pytest.fixture(scope="session")
+def small() -> PreparedPair:
+    """162 vertices each, 16 LBO functions, 20 descriptors."""
+    import prepared
+
+    return prepared.prepared_pair(prepared.tiny_pair(), prepared.SMALL)
+
+
+@pytest.fixture(scope="session")
+def middle(bumpy_pair: Pair) -> PreparedPair:
+    """642 vertices each, 60 LBO functions, 60 descriptors."""
+    import prepared
+
+    return prepared.prepared_pair(bumpy_pair, prepared.MIDDLE)
+
+
+@pytest.fixture(scope="session")
+def kernels() -> Backend:
+    from clalign.engine import open_backend
+
+    return open_backend()
+
+
+@pytest.fixture(scope="session")
+def bind_small(small: PreparedPair) -> Callable[..., Bound]:
+    """``bind_small(changes, backend=None)``: the small pair bound with some options changed."""
+    import prepared
+
+    def make(changes: dict[str, Any] | None = None, backend: Backend | None = None) -> Bound:
+        return prepared.bound(small, prepared.SMALL.replace(changes or {}), backend)
+
+    return make
+
+
+@pytest.fixture
+def reference() -> Reference:
+    from clalign.engine import Reference
+
+    return Reference()

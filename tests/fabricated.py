@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Alternative, Correspondence
 from clalign.geometry import operators
-from clalign.geometry.mesh import Mesh, mesh_from_arrays
 from clalign.geometry.spectra import Spectrum, solve
+from clalign.mesh.mesh import Mesh, mesh_from_arrays
 from clalign.options import Options
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]

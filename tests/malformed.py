@@ -323,8 +323,8 @@ def broken_files() -> list[tuple[str, bytes, str]]:
             "320 faces, but 240 lines follow",
         ),
         ("truncated-vertices.off", b"".join(off[:40]), "promises 162 vertices"),
-        ("truncated.obj", content["obj"][:2000], "vertex|no faces"),
-        ("truncated.ply", content["ply"][: len(content["ply"]) // 2], "damaged|promises"),
+        ("truncated.obj", b"".join(content["obj"].splitlines(keepends=True)[:37]) + b"v 0.5", "vertex|no faces"),
+        ("truncated.ply", b"".join(content["ply"].splitlines(keepends=True)[:126]), "damaged|promises"),
         ("truncated-binary.ply", content["binary ply"][:3000], "damaged|promises"),
         ("truncated.stl", content["stl"][:5000], "neither a whole text STL"),
         ("header-only.ply", content["ply"].split(b"end_header")[0], "has no end"),
@@ -393,7 +393,7 @@ def case_names() -> list[str]:
 def messages(folder: Path) -> list[tuple[str, str, str]]:
     """Write the collection and load it: name, "refused" or "loaded", and the message or the notes of each."""
     from clalign.errors import MeshError
-    from clalign.geometry.mesh import load_mesh
+    from clalign.mesh.mesh import load_mesh
 
     rows = []
     for case in write_collection(folder):

@@ -9,15 +9,15 @@ import shapes
 from numpy.typing import NDArray
 from shapes import Pair
 
-from clalign.alignment.funnel import funnel_band
-from clalign.alignment.maps import PointMaps
-from clalign.alignment.pipeline import bind
-from clalign.alignment.problem import AlignmentProblem
-from clalign.alignment.refine import closed_form_rotation
+from clalign.alignment.band import funnel_band
+from clalign.alignment.objective import AlignmentProblem
 from clalign.engine import Backend, Reference
-from clalign.geometry.mesh import mesh_from_arrays
 from clalign.geometry.shape import Shape, prepare
+from clalign.maps.functional_maps import PointMaps
+from clalign.matching.stages import bind
+from clalign.mesh.mesh import mesh_from_arrays
 from clalign.options import Options
+from clalign.refinement.zoomout import closed_form_rotation
 
 #: Enough functions and samples for shapes of 162 or 642 vertices.
 SMALL = Options().replace(

@@ -13,7 +13,7 @@ import pytest
 
 import clalign
 from clalign.data import bundled_pair
-from clalign.geometry.mesh import load_mesh
+from clalign.mesh.mesh import load_mesh
 
 PROBE = """
 import json, sys
@@ -53,7 +53,7 @@ def test_every_public_name_is_there() -> None:
 
 
 def test_match_stays_the_function_however_modules_are_imported() -> None:
-    code = "import clalign.matching, clalign.evaluation.errors, clalign; print(callable(clalign.match))"
+    code = "import clalign.matching.pair, clalign.evaluation.errors, clalign; print(callable(clalign.match))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "True\n"
 

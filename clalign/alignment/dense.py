@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.problem import AlignmentProblem, Distortions
-from clalign.alignment.views import AlignedSide, SampledFactors
+from clalign.alignment.objective import AlignmentProblem, Distortions
+from clalign.alignment.problem_data import AlignedSide, SampledFactors
 from clalign.engine.backend import Backend, Band
 from clalign.engine.reference_arrays import reciprocal
 from clalign.errors import OptionError

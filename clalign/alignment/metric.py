@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from clalign.alignment.funnel import band_mask
-from clalign.alignment.maps import PointMaps, two_way_functional_map
+from clalign.alignment.band import band_mask
 from clalign.engine.backend import Backend, Band
 from clalign.geometry.shape import Shape, with_descriptors
+from clalign.maps.functional_maps import PointMaps, two_way_functional_map
 from clalign.options import SpectrumOptions
 
 LOG = logging.getLogger(__name__)

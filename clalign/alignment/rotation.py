@@ -8,7 +8,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from clalign.alignment.maps import orthogonalised
+from clalign.maps.functional_maps import orthogonalised
 
 
 @dataclass(frozen=True)

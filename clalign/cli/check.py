@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from clalign.cli.terminal import Terminal, table
 
 if TYPE_CHECKING:
-    from clalign.alignment.forecast import Forecast
-    from clalign.geometry.mesh_defects import Diagnosis
+    from clalign.mesh.defects import Diagnosis
     from clalign.options import Options
+    from clalign.resources.forecast import Forecast
 
 EXIT_UNUSABLE = 2
 INDEX_SUFFIX = ".index.txt"
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
 def _check_usage(args: argparse.Namespace) -> None:
     """Find every mistake in the arguments before any mesh is read."""
     from clalign.errors import OptionError
-    from clalign.geometry.mesh_writing import require_format
+    from clalign.mesh.writing import require_format
     from clalign.storage import check_files
 
     if args.repair is None:
@@ -112,8 +112,8 @@ def examine(path: Path, options: Options) -> dict[str, Any]:
     options : what the forecast is for.
     """
     from clalign.errors import MeshError
-    from clalign.geometry.mesh_checks import diagnose
-    from clalign.geometry.mesh_files import read_mesh_file
+    from clalign.mesh.checks import diagnose
+    from clalign.mesh.reading import read_mesh_file
 
     try:
         raw = read_mesh_file(path)
@@ -153,7 +153,7 @@ def _surface_facts(diagnosis: Diagnosis, path: str) -> dict[str, Any]:
     """Return counts, topology and size of a surface that can be used; lengths in the file's unit."""
     import numpy as np
 
-    from clalign.geometry.mesh import unit_area
+    from clalign.mesh.mesh import unit_area
 
     surface = diagnosis.usable_surface(path, path)
     _, scale, _ = unit_area(surface.vertices, surface.faces)
@@ -170,7 +170,7 @@ def _surface_facts(diagnosis: Diagnosis, path: str) -> dict[str, Any]:
 
 
 def _forecast(counts: list[int], options: Options) -> dict[str, Any]:
-    from clalign.alignment.forecast import available_memory, forecast
+    from clalign.resources.forecast import available_memory, forecast
 
     predicted: Forecast = forecast(counts[0], counts[1], options)
     return {"seconds": predicted.seconds, "memory": predicted.memory, "available": available_memory()}
@@ -187,11 +187,11 @@ def repair_file(path: Path, out: Path, *, merge: bool, force: bool) -> dict[str,
         The copy cannot be written.
     """
     from clalign.errors import MeshError
-    from clalign.geometry.mesh_files import read_mesh_file
-    from clalign.geometry.mesh_repair import repair
-    from clalign.geometry.mesh_writing import save_mesh
+    from clalign.maps.point_maps import write_map
+    from clalign.mesh.reading import read_mesh_file
+    from clalign.mesh.repair import repair
+    from clalign.mesh.writing import save_mesh
     from clalign.storage import atomic_files
-    from clalign.vertex_maps import write_map
 
     raw = read_mesh_file(path)
     try:
@@ -226,7 +226,7 @@ def report(document: dict[str, Any]) -> list[str]:
 
 
 def _mesh_lines(mesh: dict[str, Any]) -> list[str]:
-    from clalign.geometry.mesh_defects import distinct
+    from clalign.mesh.defects import distinct
 
     if "error" in mesh:
         return [f"{mesh['path']}: not usable", *table([("refused", mesh["error"])])]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from clalign.cli.job import Truths, add_job_arguments, run_job
 
 if TYPE_CHECKING:
-    from clalign.geometry.mesh import Mesh
+    from clalign.mesh.mesh import Mesh
 
 DEFAULT_FOLDER = Path("clalign-demo")
 

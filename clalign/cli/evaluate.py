@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
     from clalign.evaluation.errors import Evaluation
     from clalign.evaluation.truth import Base, Truth
-    from clalign.geometry.mesh import Mesh
+    from clalign.mesh.mesh import Mesh
 
 _DESCRIPTION = """\
 Measure a map against the truth: geodesic errors on the target in units of sqrt(area) and of the diameter, the error
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _result_and_meshes(args: argparse.Namespace) -> tuple[Correspondence | None, Mesh, Mesh]:
     from clalign.errors import ResultError
-    from clalign.geometry.mesh import load_mesh
+    from clalign.mesh.mesh import load_mesh
 
     if args.map.is_dir():
         from clalign.correspondence import Correspondence

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clalign.cli.bench_accuracy import option_changes
+from clalign.cli.bench.accuracy import option_changes
 from clalign.cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Draw the figures of the command line; those that were asked for by number must be possible."""
-    from clalign.evaluation.records import RECORDS_FILE
+    from clalign.benchmark.records import RECORDS_FILE
     from clalign.presentation.figures.gallery import PLANS, draw_recorded_curves
     from clalign.presentation.figures.sheet import save_drawing
 
@@ -142,8 +142,8 @@ def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: 
 
 def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
     """Read the pair, its truth and what is matched already."""
+    from clalign.benchmark.variants import VariantRuns
     from clalign.errors import OptionError
-    from clalign.evaluation.variants import VariantRuns
     from clalign.geometry.cache import ShapeCache
     from clalign.options import Options
     from clalign.presentation.figures.gallery import MAIN, Subject
@@ -185,7 +185,7 @@ def _bundled() -> Problem:
     from clalign.data import bundled_pair
     from clalign.evaluation.pairs import Problem
     from clalign.evaluation.truth import read_index_truth
-    from clalign.geometry.mesh import load_mesh
+    from clalign.mesh.mesh import load_mesh
 
     pair = bundled_pair()
     source, target = load_mesh(pair.source), load_mesh(pair.target)
@@ -204,7 +204,7 @@ def _named(args: argparse.Namespace) -> tuple[Problem, Correspondence | None]:
     from clalign.errors import ResultError
     from clalign.evaluation.pairs import Problem
     from clalign.evaluation.truth import Truth, read_mirror
-    from clalign.geometry.mesh import load_mesh
+    from clalign.mesh.mesh import load_mesh
 
     known: Correspondence | None = None
     if len(args.paths) == 1:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
     from clalign.evaluation.errors import Evaluation
     from clalign.evaluation.truth import Truth
-    from clalign.geometry.mesh import Mesh
+    from clalign.mesh.mesh import Mesh
     from clalign.options import Options
 
 PICTURE_FILE = "match.png"
@@ -123,7 +123,7 @@ def run_job(
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
 
     from clalign.correspondence import FACTS_FILE
-    from clalign.geometry.mesh import load_mesh
+    from clalign.mesh.mesh import load_mesh
     from clalign.storage import check_destination
 
     with Interrupts() as interrupts:

@@ -10,7 +10,7 @@ from clalign.cli.evaluate import read_truth
 from clalign.cli.job import Truths, add_job_arguments, run_job
 
 if TYPE_CHECKING:
-    from clalign.geometry.mesh import Mesh
+    from clalign.mesh.mesh import Mesh
 
 DEFAULT_FOLDER = Path("clalign-result")
 

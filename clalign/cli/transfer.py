@@ -86,8 +86,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
-    from clalign.presentation import transfer
     from clalign.presentation.value_files import read_values, write_values
+    from clalign.transfer import transfer
 
     origin, (_, there) = args.origin, transfer.sides(correspondence, args.origin)
     whole = args.kind in ("labels", "landmarks")
@@ -104,7 +104,7 @@ def _texture(correspondence: Correspondence, args: argparse.Namespace) -> None:
     from clalign.errors import InputError
     from clalign.presentation.exports import file_positions, write_textured_obj
     from clalign.presentation.texture import carry_texture, read_texture
-    from clalign.presentation.transfer import sides
+    from clalign.transfer.transfer import sides
 
     if args.out.suffix.lower() != ".obj":
         raise InputError(f"{args.out}: a texture is written as .obj")
@@ -116,10 +116,10 @@ def _texture(correspondence: Correspondence, args: argparse.Namespace) -> None:
 def _deformation(correspondence: Correspondence, args: argparse.Namespace) -> None:
     import numpy as np
 
-    from clalign.geometry.mesh_files import read_mesh_file
-    from clalign.geometry.mesh_writing import save_mesh
-    from clalign.presentation.transfer import carry_deformation, sides
+    from clalign.mesh.reading import read_mesh_file
+    from clalign.mesh.writing import save_mesh
     from clalign.presentation.value_files import MESH_SUFFIXES, write_values
+    from clalign.transfer.transfer import carry_deformation, sides
 
     _, there = sides(correspondence, args.origin)
     moved = carry_deformation(correspondence, read_mesh_file(args.file).vertices, origin=args.origin)

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import clalign
-from clalign.alignment.funnel import funnel_band
-from clalign.alignment.pipeline import Clock, grown_maps, steps_before_alignment
-from clalign.alignment.refine import closed_form_rotation, coherent_steps
+from clalign.alignment.band import funnel_band
 from clalign.correspondence import Correspondence
 from clalign.engine.backend import Backend
-from clalign.geometry.mesh import Mesh
 from clalign.geometry.shape import Shape, equally_smoothed
-from clalign.matching import local_distortion
+from clalign.matching.pair import local_distortion
+from clalign.matching.stages import Clock, grown_maps, steps_before_alignment
+from clalign.mesh.mesh import Mesh
 from clalign.options import Options
+from clalign.refinement.zoomout import closed_form_rotation, coherent_steps
 
 
 def derived_correspondence(

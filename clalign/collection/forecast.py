@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from clalign.alignment.forecast import available_memory
-from clalign.alignment.forecast import forecast as forecast_match
 from clalign.collection.members import Member
 from clalign.collection.session import HELD_SHAPES
 from clalign.errors import MemoryBudgetError, MeshError, ResultError
-from clalign.geometry.mesh import load_mesh
+from clalign.mesh.mesh import load_mesh
 from clalign.options import Options
+from clalign.resources.forecast import available_memory
+from clalign.resources.forecast import forecast as forecast_match
 
 DASK_BYTES = 250e6
 """Of a worker process, beside what a single match takes: Dask, and what the allocator keeps from earlier pairs."""

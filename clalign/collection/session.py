@@ -18,8 +18,8 @@ from clalign.correspondence import Correspondence
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
 from clalign.geometry.cache import ShapeCache, default_folder
-from clalign.geometry.mesh import load_mesh
 from clalign.geometry.shape import Shape, equally_smoothed, prepare
+from clalign.mesh.mesh import load_mesh
 from clalign.options import Options
 
 try:

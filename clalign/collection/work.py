@@ -15,8 +15,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.maps import PointMaps, two_way_functional_map
-from clalign.alignment.pipeline import Clock
 from clalign.collection.derive import derived_correspondence
 from clalign.collection.members import Member
 from clalign.collection.rows import Kind, PairRow, ShapeRow
@@ -26,8 +24,10 @@ from clalign.correspondence import Correspondence, finite_or_none
 from clalign.engine import Reference
 from clalign.errors import ClalignError
 from clalign.evaluation.numbering import compact_of_file
-from clalign.geometry.mesh import Mesh
-from clalign.matching import match_shapes
+from clalign.maps.functional_maps import PointMaps, two_way_functional_map
+from clalign.matching.pair import match_shapes
+from clalign.matching.stages import Clock
+from clalign.mesh.mesh import Mesh
 
 try:
     import resource

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from clalign.engine.backend import Array, Backend, Band
+from clalign.engine.reference import Reference
 from clalign.options import EngineOptions
-
-from .backend import Array, Backend, Band
-from .reference import Reference
 
 __all__ = ["Array", "Backend", "Band", "Reference", "open_backend"]
 
@@ -25,6 +24,6 @@ def open_backend(options: EngineOptions | None = None) -> Backend:
     chosen = EngineOptions() if options is None else options
     if chosen.backend == "reference":
         return Reference()
-    from .kernels import open_kernels
+    from clalign.engine.kernels import open_kernels
 
     return open_kernels(chosen)

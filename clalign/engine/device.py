@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.engine.device_choice import DeviceFacts, choose_device, list_devices, wanted_device
+from clalign.engine.programs import kernel_source
 from clalign.errors import DeviceError, MemoryBudgetError
-
-from .device_choice import DeviceFacts, choose_device, list_devices, wanted_device
-from .programs import kernel_source
 
 logger = logging.getLogger(__name__)
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from clalign.engine.device import Device
+from clalign.engine.kernels_arrays import KernelArrays
+from clalign.engine.kernels_losses import KernelLosses
+from clalign.engine.kernels_products import KernelProducts
+from clalign.engine.kernels_search import KernelSearches
+from clalign.engine.kernels_soft import KernelSoftMaps
 from clalign.options import EngineOptions
-
-from .device import Device
-from .kernels_arrays import KernelArrays
-from .kernels_losses import KernelLosses
-from .kernels_products import KernelProducts
-from .kernels_search import KernelSearches
-from .kernels_soft import KernelSoftMaps
 
 
 class Kernels(KernelLosses, KernelSoftMaps, KernelSearches, KernelProducts, KernelArrays):

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clalign.engine.device import Device, DeviceArray
 from clalign.errors import InputError
-
-from .device import Device, DeviceArray
 
 ELEMENTS = 4096
 """Elements of one work-item of an elementwise kernel."""

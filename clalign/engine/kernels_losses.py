@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from .backend import Band
-from .device import DeviceArray
-from .kernels_arrays import require_shapes
-from .kernels_products import KernelProducts
+from clalign.engine.backend import Band
+from clalign.engine.device import DeviceArray
+from clalign.engine.kernels_arrays import require_shapes
+from clalign.engine.kernels_products import KernelProducts
 
 
 class KernelLosses(KernelProducts):

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .backend import Band
-from .device import DeviceArray
-from .kernels_arrays import TRANSPOSED, KernelArrays, ceil_div, require_shapes
+from clalign.engine.backend import Band
+from clalign.engine.device import DeviceArray
+from clalign.engine.kernels_arrays import TRANSPOSED, KernelArrays, ceil_div, require_shapes
 
 DEPTH_BLOCK = 256
 """Depth of a block: a panel of it and the rows that meet it stay in the first cache."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from clalign.engine.backend import RELATIVE_DISTANCE_FLOOR, DistortionKind
+from clalign.engine.device import DeviceArray
+from clalign.engine.kernels_arrays import PART, ceil_div, require_shapes
+from clalign.engine.kernels_products import KernelProducts
 from clalign.errors import InputError
-
-from .backend import RELATIVE_DISTANCE_FLOOR, DistortionKind
-from .device import DeviceArray
-from .kernels_arrays import PART, ceil_div, require_shapes
-from .kernels_products import KernelProducts
 
 BOUND = 32
 """Depth after which a tile of the nearest points is checked: can one of its scores still be the best of its row?"""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .device import DeviceArray
-from .kernels_arrays import ceil_div, require_shapes
-from .kernels_products import KernelProducts
-from .reference_soft import pair_count, pair_factor
+from clalign.engine.device import DeviceArray
+from clalign.engine.kernels_arrays import ceil_div, require_shapes
+from clalign.engine.kernels_products import KernelProducts
+from clalign.engine.reference_soft import pair_count, pair_factor
 
 FEATURES = 256
 """Features made at once on a CPU; they stay in the first cache."""

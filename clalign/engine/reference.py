@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from .reference_arrays import ReferenceArrays
-from .reference_losses import ReferenceLosses
-from .reference_search import ReferenceSearches
-from .reference_soft import ReferenceSoftMaps
+from clalign.engine.reference_arrays import ReferenceArrays
+from clalign.engine.reference_losses import ReferenceLosses
+from clalign.engine.reference_search import ReferenceSearches
+from clalign.engine.reference_soft import ReferenceSoftMaps
 
 
 class Reference(ReferenceArrays, ReferenceSoftMaps, ReferenceLosses, ReferenceSearches):

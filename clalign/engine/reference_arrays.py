@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from .backend import Band
+from clalign.engine.backend import Band
 
 Array = NDArray[Any]
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .backend import Band
-from .reference_arrays import band_positions, stored
+from clalign.engine.backend import Band
+from clalign.engine.reference_arrays import band_positions, stored
 
 Array = NDArray[Any]
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .backend import RELATIVE_DISTANCE_FLOOR, DistortionKind
-from .reference_arrays import stored
-from .reference_soft import blocks
+from clalign.engine.backend import RELATIVE_DISTANCE_FLOOR, DistortionKind
+from clalign.engine.reference_arrays import stored
+from clalign.engine.reference_soft import blocks
 
 Array = NDArray[Any]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .reference_arrays import reciprocal, stored
+from clalign.engine.reference_arrays import reciprocal, stored
 
 Array = NDArray[Any]
 

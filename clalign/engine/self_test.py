@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .backend import Backend
-from .reference import Reference
+from clalign.engine.backend import Backend
+from clalign.engine.reference import Reference
 
 #: Largest error that is accepted, in units of the largest entry, by the size of the real type in bytes.
 TOLERANCES = {4: 1e-4, 8: 1e-10}

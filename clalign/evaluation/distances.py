@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.geometry.heat import HeatMethod
-from clalign.geometry.mesh import Mesh
+from clalign.mesh.mesh import Mesh
 
 DistanceMethod = Literal["heat", "bounded"]
 METHODS: dict[str, str] = {

@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clalign.errors import ResultError
-from clalign.geometry.mesh import Mesh
-
-from .distances import METHODS, DistanceMethod, Distances
-from .numbering import compact_of_file
-from .quality import MapQuality, map_quality
-from .truth import Truth
+from clalign.evaluation.distances import METHODS, DistanceMethod, Distances
+from clalign.evaluation.numbering import compact_of_file
+from clalign.evaluation.quality import MapQuality, map_quality
+from clalign.evaluation.truth import Truth
+from clalign.mesh.mesh import Mesh
 
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence

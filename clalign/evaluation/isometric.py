@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from clalign.errors import ResultError
+from clalign.evaluation.numbering import compact_of_file
+from clalign.evaluation.truth import Truth
 from clalign.geometry.geodesics import DistanceFactors, Geodesics
-from clalign.geometry.mesh import Mesh
 from clalign.geometry.shape import Shape
-
-from .numbering import compact_of_file
-from .truth import Truth
+from clalign.mesh.mesh import Mesh
 
 
 def with_distances_of(target: Shape, source: Shape, truth: Truth) -> Shape:

@@ -10,8 +10,7 @@ from itertools import groupby
 from pathlib import Path
 
 from clalign.errors import ResultError
-
-from .pairs import BenchmarkPair, Pair, TruthFiles
+from clalign.evaluation.pairs import BenchmarkPair, Pair, TruthFiles
 
 MESH_SUFFIXES = (".ply", ".off", ".obj", ".stl")
 FAUST_MESHES = 100

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.geometry.mesh import Mesh
+from clalign.mesh.mesh import Mesh
 
 
 def compact_of_file(mesh: Mesh) -> NDArray[np.int64]:

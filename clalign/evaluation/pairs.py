@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from clalign.errors import ResultError
-from clalign.geometry.mesh import Mesh, load_mesh
-
-from .perturb import renumber
-from .truth import Truth, read_mirror, read_pair_truth
+from clalign.evaluation.perturb import renumber
+from clalign.evaluation.truth import Truth, read_mirror, read_pair_truth
+from clalign.mesh.mesh import Mesh, load_mesh
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from clalign.errors import InputError
-from clalign.geometry.mesh import Mesh, mesh_from_arrays
-
-from .truth import Truth
+from clalign.evaluation.truth import Truth
+from clalign.mesh.mesh import Mesh, mesh_from_arrays
 
 NEIGHBOURS = 8
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.geometry.mesh import Mesh
 from clalign.geometry.operators import lumped_mass, stiffness
+from clalign.mesh.mesh import Mesh
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from .heat import FarthestPoints, HeatMethod, Surface, farthest_points
-from .mesh import Mesh
-from .operators import lumped_mass
+from clalign.geometry.heat import FarthestPoints, HeatMethod, Surface, farthest_points
+from clalign.geometry.operators import lumped_mass
+from clalign.mesh.mesh import Mesh
 
 logger = logging.getLogger(__name__)
 

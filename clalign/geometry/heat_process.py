@@ -24,10 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import MemoryBudgetError, MeshError
-
-from .heat import FarthestPoints, Surface, farthest_points
-from .heat_server import REFUSED, REQUEST, packed, receive, send, unpacked
-from .workers import SINGLE_THREADED, processor_count
+from clalign.geometry.heat import FarthestPoints, Surface, farthest_points
+from clalign.geometry.heat_server import REFUSED, REQUEST, packed, receive, send, unpacked
+from clalign.geometry.workers import SINGLE_THREADED, processor_count
 
 logger = logging.getLogger(__name__)
 

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import MeshError
-
-from .heat import Surface, farthest_points
+from clalign.geometry.heat import Surface, farthest_points
 
 REQUEST, ANSWER, REFUSED = b"?", b"=", b"!"
 _HEAD = struct.Struct("<cQ")

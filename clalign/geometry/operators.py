@@ -14,12 +14,11 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from clalign.errors import InputError
+from clalign.geometry.factors import factorise
 from clalign.options import SpectrumOptions
 
-from .factors import factorise
-
 if TYPE_CHECKING:
-    from .spectra import Spectrum
+    from clalign.geometry.spectra import Spectrum
 
 #: A face whose doubled area is below this fraction of its longest squared edge counts as having that area.
 SLIVER = 1e-5

@@ -14,13 +14,10 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from clalign.options import GeodesicOptions, Options, SpectrumOptions
-
-from .cache import ShapeCache, content_key
-from .geodesics import DistanceFactors, Geodesics, farthest_point_geodesics, low_rank
-from .heat_process import HeatProcess
-from .mesh import Mesh
-from .operators import (
+from clalign.geometry.cache import ShapeCache, content_key
+from clalign.geometry.geodesics import DistanceFactors, Geodesics, farthest_point_geodesics, low_rank
+from clalign.geometry.heat_process import HeatProcess
+from clalign.geometry.operators import (
     conformal_factor,
     defect_correlation,
     diffused,
@@ -30,8 +27,10 @@ from .operators import (
     orientation_tensor,
     stiffness,
 )
-from .spectra import Spectrum, solve
-from .workers import processor_count, single_threaded_blas, thread_pool
+from clalign.geometry.spectra import Spectrum, solve
+from clalign.geometry.workers import processor_count, single_threaded_blas, thread_pool
+from clalign.mesh.mesh import Mesh
+from clalign.options import GeodesicOptions, Options, SpectrumOptions
 
 logger = logging.getLogger(__name__)
 

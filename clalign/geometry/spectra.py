@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
 from clalign.errors import ConvergenceError
-
-from .factors import REMEDY, factorise
-from .lanczos import lowest_pairs
-from .workers import single_threaded_blas
+from clalign.geometry.factors import REMEDY, factorise
+from clalign.geometry.lanczos import lowest_pairs
+from clalign.geometry.workers import single_threaded_blas
 
 logger = logging.getLogger(__name__)
 

@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
-from clalign.geometry.mesh import Mesh
-from clalign.geometry.mesh_writing import save_mesh
 from clalign.geometry.operators import stiffness
+from clalign.mesh.mesh import Mesh
+from clalign.mesh.writing import save_mesh
 from clalign.presentation.camera import Up, front_view
 from clalign.presentation.colours import position_colours
 from clalign.presentation.picture import carried_colours
 from clalign.presentation.raster import write_png
-from clalign.presentation.surface_map import surface_map, vertex_map
 from clalign.presentation.texture import Texture
+from clalign.transfer.surface_map import surface_map, vertex_map
 
 _TEXTURE_SIZE = 512
 _TEXTURE_SQUARES = 24

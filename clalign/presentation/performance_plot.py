@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from clalign.benchmark.performance_pair import ScaleTime, stage_exponents, stage_names
 from clalign.errors import InputError
-from clalign.evaluation.performance_pair import ScaleTime, stage_exponents, stage_names
 
 SHOWN_ABOVE = 0.02
 """A stage is drawn when it takes this share of the largest match."""

@@ -13,7 +13,7 @@ from clalign.presentation.camera import Up, front_view, turn_to
 from clalign.presentation.colours import UNMATCHED, function_colours, position_colours
 from clalign.presentation.lettering import with_word
 from clalign.presentation.raster import png_bytes, rasterise, write_png
-from clalign.presentation.surface_map import SurfaceMap, surface_map
+from clalign.transfer.surface_map import SurfaceMap, surface_map
 
 _MARGIN = 0.05
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
-from clalign.presentation.transfer import Side, map_from, sides
+from clalign.transfer.transfer import Side, map_from, sides
 
 _MOST_CHOICES = 4
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import InputError
-from clalign.geometry.mesh import Mesh
-from clalign.geometry.mesh_writing import save_mesh
+from clalign.mesh.mesh import Mesh
+from clalign.mesh.writing import save_mesh
 from clalign.presentation.colours import UNMATCHED, amount_colours
 from clalign.presentation.exports import file_positions
 

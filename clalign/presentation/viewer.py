@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
-from clalign.geometry.mesh import Mesh
+from clalign.mesh.mesh import Mesh
 from clalign.presentation.camera import Up, front_view
 from clalign.presentation.colours import position_colours
 from clalign.presentation.picture import carried_colours, map_turn
-from clalign.presentation.surface_map import surface_map
+from clalign.transfer.surface_map import surface_map
 
 
 def show(

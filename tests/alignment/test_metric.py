@@ -9,11 +9,11 @@ import pytest
 from prepared import MIDDLE, PreparedPair
 
 from clalign.alignment import metric
-from clalign.alignment.funnel import funnel_band
-from clalign.alignment.maps import PointMaps
+from clalign.alignment.band import funnel_band
 from clalign.alignment.metric import EXPONENTS, choose_metric
 from clalign.engine import Reference
 from clalign.geometry.shape import with_descriptors
+from clalign.maps.functional_maps import PointMaps
 
 
 def chosen(pair: PreparedPair, maps: PointMaps) -> tuple[float, np.ndarray]:

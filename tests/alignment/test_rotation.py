@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 from numpy.typing import NDArray
 
-from clalign.alignment.funnel import band_mask, funnel_band
+from clalign.alignment.band import band_mask, funnel_band
 from clalign.alignment.rotation import orthogonal_square_root, random_rotation, starting_rotation
 from clalign.options import AlignmentOptions
 

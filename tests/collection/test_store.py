@@ -109,8 +109,8 @@ def test_two_runs_do_not_share_a_folder(tmp_path: Path) -> None:
 
 def test_forecast_grows_with_what_is_kept_and_bounds_the_prepared_shapes(tmp_path: Path) -> None:
     from clalign.geometry.cache import ShapeCache
-    from clalign.geometry.mesh import load_mesh
     from clalign.geometry.shape import prepare
+    from clalign.mesh.mesh import load_mesh
 
     write_shapes(tmp_path / "shapes", 3)
     members = read_members(tmp_path / "shapes")

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from quick import QUICK
 
-from clalign.cli.bench_scale import parsed_sizes
+from clalign.benchmark import performance_losses as losses
+from clalign.benchmark.performance_pair import ScaleTime
+from clalign.cli.bench.scale import parsed_sizes
 from clalign.cli.main import main
 from clalign.errors import OptionError
-from clalign.evaluation import performance_losses as losses
-from clalign.evaluation.performance_pair import ScaleTime
 from clalign.presentation.performance_plot import save_scale_plot
 
 CHANGES = [*QUICK[3:], "--device", "reference"]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from collections_small import ARGUMENTS, CHANGES, write_shapes
 
+from clalign.benchmark.collections import Costs, Errors, RunTimes, errors_table, times_table
 from clalign.cli.main import main
-from clalign.collection.bench import Costs, Errors, RunTimes, errors_table, times_table
 from clalign.correspondence import Correspondence
 
 pytest.importorskip("distributed")

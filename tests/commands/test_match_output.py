@@ -14,7 +14,7 @@ import clalign
 from clalign.cli.main import main
 from clalign.correspondence import Correspondence
 from clalign.errors import ConvergenceError, DeviceError, MemoryBudgetError
-from clalign.geometry.mesh import Mesh
+from clalign.mesh.mesh import Mesh
 from clalign.options import Options
 
 FILES = {"target_of_source.txt", "source_of_target.txt", "result.npz", "result.json"}

@@ -19,8 +19,8 @@ from clalign.storage import recover
 PROGRAM = [sys.executable, "-m", "clalign.cli.main"]
 ENDLESS = """
 import sys
-from clalign import matching
-from clalign.alignment import pipeline
+from clalign.matching.pair import match as matching
+from clalign.matching.pair import stages as pipeline
 from clalign.cli.main import program
 module, name = {"prepare": (matching, "prepare_pair"), "search": (pipeline, "find_isometry")}[sys.argv.pop(1)]
 once = getattr(module, name)

@@ -54,7 +54,7 @@ def test_every_figure_has_a_page_that_shows_it(gallery: ModuleType) -> None:
 
 
 def test_pages_name_options_and_methods_that_exist() -> None:
-    from clalign.evaluation.methods import method_names
+    from clalign.benchmark.methods import method_names
     from clalign.options import Options
 
     text = "".join(path.read_text(encoding="utf-8") for path in DOCS.rglob("*.md"))

@@ -15,7 +15,7 @@ from clalign.evaluation.distances import Distances
 from clalign.evaluation.errors import THRESHOLDS, area_under_curve, error_curve, evaluate
 from clalign.evaluation.perturb import renumber
 from clalign.evaluation.truth import Truth
-from clalign.geometry.mesh import Mesh, mesh_from_arrays
+from clalign.mesh.mesh import Mesh, mesh_from_arrays
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ from clalign.errors import ResultError
 from clalign.evaluation.isometric import total_maps, with_distances_of
 from clalign.evaluation.perturb import renumber
 from clalign.evaluation.truth import Truth
-from clalign.geometry.mesh import mesh_from_arrays
 from clalign.geometry.shape import prepare_pair
+from clalign.mesh.mesh import mesh_from_arrays
 from clalign.options import Options
 
 OPTIONS = Options().replace(

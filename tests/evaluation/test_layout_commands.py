@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import shapes
 
+from clalign.benchmark import methods
+from clalign.benchmark.methods import Outcome
 from clalign.cli.main import main
-from clalign.evaluation import methods
-from clalign.evaluation.methods import Outcome
 from clalign.evaluation.pairs import Problem
 
 if TYPE_CHECKING:

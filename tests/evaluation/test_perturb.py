@@ -8,7 +8,7 @@ import shapes
 
 from clalign.errors import InputError
 from clalign.evaluation import perturb
-from clalign.geometry.mesh import Mesh, mesh_from_arrays
+from clalign.mesh.mesh import Mesh, mesh_from_arrays
 
 
 @pytest.fixture(scope="module")

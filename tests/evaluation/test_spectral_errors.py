@@ -13,7 +13,7 @@ from clalign.correspondence import Correspondence
 from clalign.engine import open_backend
 from clalign.evaluation.isometric import total_maps
 from clalign.evaluation.perturb import renumber
-from clalign.evaluation.spectral_errors import (
+from clalign.evaluation.spectral import (
     alignment_errors,
     as_computed,
     coupling_spread,
@@ -28,10 +28,10 @@ from clalign.evaluation.spectral_errors import (
 )
 from clalign.evaluation.truth import Truth
 from clalign.geometry import operators
-from clalign.geometry.mesh import Mesh, mesh_from_arrays
 from clalign.geometry.shape import prepare_pair
 from clalign.geometry.spectra import Spectrum, solve
-from clalign.matching import match_shapes
+from clalign.matching.pair import match_shapes
+from clalign.mesh.mesh import Mesh, mesh_from_arrays
 from clalign.options import Options
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import pytest
 from quick import Run, left_in
 
 from clalign.errors import MeshError
-from clalign.geometry.mesh import load_mesh
-from clalign.geometry.mesh_files import read_mesh_file
+from clalign.mesh.mesh import load_mesh
+from clalign.mesh.reading import read_mesh_file
 
 
 @pytest.fixture(scope="module")

@@ -149,7 +149,7 @@ def test_kill_at_any_moment_leaves_a_mesh_with_its_own_index(tmp_path: Path, rng
     """Two meshes of different sizes are repaired to one name in turn; an index beside the mesh must be its own."""
     import malformed
 
-    from clalign.geometry.mesh import load_mesh
+    from clalign.mesh.mesh import load_mesh
 
     cases = {case.name: case for case in malformed.write_collection(tmp_path)}
     first, second = cases["Möbius strip"].path, cases["two bodies"].path

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from quick import QUICK, Run, left_in
 
-from clalign.alignment.problem import AlignmentProblem, Evaluation
+from clalign.alignment.objective import AlignmentProblem, Evaluation
 from clalign.correspondence import Correspondence
 
 
 @pytest.mark.parametrize(
     "place",
     [
-        "clalign.geometry.mesh.load_mesh",
-        "clalign.matching.prepare_pair",
-        "clalign.matching.open_backend",
-        "clalign.alignment.pipeline.bind",
+        "clalign.mesh.mesh.load_mesh",
+        "clalign.matching.pair.prepare_pair",
+        "clalign.matching.pair.open_backend",
+        "clalign.matching.stages.bind",
     ],
 )
 def test_before_the_first_map_nothing_is_kept(
@@ -62,7 +62,7 @@ def once(monkeypatch: pytest.MonkeyPatch, place: str, after: int = 0) -> None:
     monkeypatch.setattr(owner, name, interrupted)
 
 
-@pytest.mark.parametrize("room", ["clalign.alignment.pipeline", "clalign.alignment.search.find"])
+@pytest.mark.parametrize("room", ["clalign.matching.stages", "clalign.search.find"])
 def test_during_the_search_nothing_is_kept(
     match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: str
 ) -> None:
@@ -76,19 +76,19 @@ def test_during_the_search_nothing_is_kept(
 @pytest.mark.parametrize(
     ("place", "after"),
     [
-        ("clalign.alignment.pipeline.grown_maps", 0),
-        ("clalign.alignment.pipeline.piecewise_maps", 0),
-        ("clalign.alignment.pipeline.grown_maps", 1),
-        ("clalign.alignment.pipeline.choose_metric", 0),
-        ("clalign.alignment.pipeline.closed_form_rotation", 0),
-        ("clalign.alignment.pipeline.bind", 0),
-        ("clalign.alignment.rounds.hard_map", 0),
-        ("clalign.alignment.rounds.read_out", 0),
-        ("clalign.alignment.problem.AlignmentProblem.functional_map", 0),
-        ("clalign.alignment.pipeline.coherent_embeddings", 0),
-        ("clalign.alignment.pipeline.point_maps", 0),
-        ("clalign.alignment.pipeline.closest_points", 0),
-        ("clalign.matching.local_distortion", 0),
+        ("clalign.matching.stages.grown_maps", 0),
+        ("clalign.matching.stages.piecewise_maps", 0),
+        ("clalign.matching.stages.grown_maps", 1),
+        ("clalign.matching.stages.choose_metric", 0),
+        ("clalign.matching.stages.closed_form_rotation", 0),
+        ("clalign.matching.stages.bind", 0),
+        ("clalign.alignment.alternation.hard_map", 0),
+        ("clalign.alignment.alternation.read_out", 0),
+        ("clalign.alignment.objective.AlignmentProblem.functional_map", 0),
+        ("clalign.matching.stages.coherent_embeddings", 0),
+        ("clalign.matching.stages.point_maps", 0),
+        ("clalign.matching.stages.closest_points", 0),
+        ("clalign.matching.pair.local_distortion", 0),
     ],
 )
 def test_from_the_first_map_on_the_best_is_kept(
@@ -109,8 +109,8 @@ def test_from_the_first_map_on_the_best_is_kept(
 
 
 def test_a_second_interrupt_gives_up(match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    once(monkeypatch, "clalign.alignment.pipeline.piecewise_maps")
-    once(monkeypatch, "clalign.alignment.pipeline.closed_form_rotation")
+    once(monkeypatch, "clalign.matching.stages.piecewise_maps")
+    once(monkeypatch, "clalign.matching.stages.closed_form_rotation")
     shown = match(tmp_path / "out", *WHOLE)
     assert shown.status == 130
     assert left_in(tmp_path) == []

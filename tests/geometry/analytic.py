@@ -6,7 +6,7 @@ import numpy as np
 import shapes
 from numpy.typing import NDArray
 
-from clalign.geometry.mesh import Mesh, mesh_from_arrays
+from clalign.mesh.mesh import Mesh, mesh_from_arrays
 
 Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
 

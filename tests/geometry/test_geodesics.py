@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from clalign.errors import MeshError
 from clalign.geometry import geodesics
 from clalign.geometry.geodesics import Geodesics, all_pairs, farthest_point_geodesics, low_rank
-from clalign.geometry.mesh import Mesh
 from clalign.geometry.operators import lumped_mass
+from clalign.mesh.mesh import Mesh
 
 
 @pytest.fixture(scope="module")

@@ -23,8 +23,8 @@ from clalign.geometry import heat_process, heat_server, shape
 from clalign.geometry.geodesics import farthest_point_geodesics
 from clalign.geometry.heat import FarthestPoints, HeatMethod, Surface, farthest_points
 from clalign.geometry.heat_process import HeatProcess
-from clalign.geometry.mesh import Mesh
 from clalign.geometry.operators import lumped_mass
+from clalign.mesh.mesh import Mesh
 from clalign.options import Options
 
 ANSWER_FIRST = "import json, sys\nsys.path[:] = json.loads(sys.argv[1])\n"
@@ -329,7 +329,7 @@ def test_what_the_process_imports() -> None:
     with os.popen(f'"{sys.executable}" -c "{program}"') as output:
         loaded = set(output.read().split())
     assert {"numpy", "potpourri3d", heat_server.__name__} <= loaded
-    assert not loaded & {"trimesh", "scipy.linalg", "scipy.spatial", "pyopencl", "clalign.geometry.mesh"}
+    assert not loaded & {"trimesh", "scipy.linalg", "scipy.spatial", "pyopencl", "clalign.mesh.mesh"}
 
 
 def test_a_package_found_in_the_working_folder_is_found_by_the_process(tmp_path: Path) -> None:

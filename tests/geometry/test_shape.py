@@ -16,9 +16,9 @@ import threadpoolctl
 
 from clalign.geometry import shape as shape_module
 from clalign.geometry.cache import ShapeCache
-from clalign.geometry.mesh import Mesh, mesh_from_arrays
 from clalign.geometry.shape import Shape, equally_smoothed, prepare, prepare_all, prepare_pair, with_descriptors
 from clalign.geometry.workers import single_threaded_blas
+from clalign.mesh.mesh import Mesh, mesh_from_arrays
 from clalign.options import Options, SpectrumOptions
 
 OPTIONS = Options().replace(

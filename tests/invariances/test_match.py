@@ -15,7 +15,7 @@ from shapes import Pair
 from clalign import match
 from clalign.correspondence import Correspondence
 from clalign.geometry.geodesics import all_pairs
-from clalign.geometry.mesh import mesh_from_arrays
+from clalign.mesh.mesh import mesh_from_arrays
 from clalign.options import Options
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]

@@ -11,9 +11,9 @@ import shapes
 from numpy.typing import NDArray
 
 from clalign.correspondence import Alternative, Correspondence
-from clalign.geometry.mesh import Mesh, mesh_from_arrays
 from clalign.geometry.operators import conformal_factor, gaussian_curvature, lumped_mass, stiffness
 from clalign.geometry.spectra import Spectrum, solve
+from clalign.mesh.mesh import Mesh, mesh_from_arrays
 from clalign.options import Options, SpectrumOptions
 
 Fabricate = Callable[..., Correspondence]

@@ -126,7 +126,7 @@ def test_colours_are_carried_by_the_maps(collection: Collection, monkeypatch: py
     maps = collection.maps("s0", "s2")
     np.testing.assert_allclose(painted[1], painted[2][maps.target_of_source])
     assert np.ptp(painted[3]) == 0.0
-    from clalign.geometry.mesh import load_mesh
+    from clalign.mesh.mesh import load_mesh
 
     reference = load_mesh(collection.shapes[1].path).vertices
     np.testing.assert_allclose(painted[0], position_colours(reference, front_view(reference)))

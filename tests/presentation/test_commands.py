@@ -12,8 +12,8 @@ import pytest
 from clalign.cli import export, show, transfer
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError, ResultError
-from clalign.geometry.mesh import load_mesh
-from clalign.geometry.mesh_writing import save_mesh
+from clalign.mesh.mesh import load_mesh
+from clalign.mesh.writing import save_mesh
 from clalign.presentation.exports import file_positions, write_textured_obj
 from clalign.presentation.texture import Texture, read_texture
 

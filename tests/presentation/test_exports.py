@@ -10,7 +10,7 @@ import shapes
 
 from clalign.correspondence import Correspondence
 from clalign.evaluation.truth import read_pair_truth
-from clalign.geometry.mesh import load_mesh, mesh_from_arrays
+from clalign.mesh.mesh import load_mesh, mesh_from_arrays
 from clalign.presentation import exports
 from clalign.presentation.texture import read_texture
 

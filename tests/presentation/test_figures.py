@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clalign.alignment.funnel import band_mask, funnel_band
+from clalign.alignment.band import band_mask, funnel_band
+from clalign.benchmark import variants
 from clalign.cli.main import main
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError, OptionError
-from clalign.evaluation import variants
 from clalign.evaluation.errors import THRESHOLDS
 from clalign.evaluation.pairs import Problem
-from clalign.evaluation.spectral_errors import TrueMaps, spectral_errors, true_maps
+from clalign.evaluation.spectral import TrueMaps, spectral_errors, true_maps
 from clalign.evaluation.truth import Truth
 from clalign.options import Options
 from clalign.presentation.figures.eigenfunctions import draw_eigenfunctions, draw_pair_rotation, draw_variants

@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from clalign.correspondence import Correspondence
 from clalign.errors import ResultError
-from clalign.geometry.mesh import mesh_from_arrays
+from clalign.mesh.mesh import mesh_from_arrays
 from clalign.presentation.camera import front_view, turn_to
 from clalign.presentation.colours import UNMATCHED, amount_colours, function_colours, position_colours
 from clalign.presentation.lettering import word_mask
 from clalign.presentation.notebook import notebook_html
 from clalign.presentation.picture import carried_colours, function_image, match_image, save_match_picture
-from clalign.presentation.surface_map import surface_map
+from clalign.transfer.surface_map import surface_map
 
 
 def _figure(up: int, across: int) -> np.ndarray:

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
-from clalign.geometry.mesh import mesh_from_arrays
+from clalign.mesh.mesh import mesh_from_arrays
 from clalign.presentation.exports import file_positions
 from clalign.presentation.texture import Texture, carry_texture, read_texture
-from clalign.presentation.transfer import carry_deformation, carry_labels, carry_landmarks, carry_values
 from clalign.presentation.value_files import read_values, write_values
+from clalign.transfer.transfer import carry_deformation, carry_labels, carry_landmarks, carry_values
 
 
 def test_values_go_to_the_matches_in_file_numbering(small: Correspondence) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.errors import OptionError
-from clalign.evaluation.spectral_errors import (
+from clalign.evaluation.spectral import (
     PairRotation,
     TrueMaps,
     alignment_errors,
@@ -20,9 +20,8 @@ from clalign.evaluation.spectral_errors import (
     support_areas,
     true_rotation,
 )
-
-from .sheet import AFTER, BEFORE, PANEL_HEIGHT, Cell, Drawing, Image, Table, panel_sheet
-from .surfaces import PairView
+from clalign.presentation.figures.sheet import AFTER, BEFORE, PANEL_HEIGHT, Cell, Drawing, Image, Table, panel_sheet
+from clalign.presentation.figures.surfaces import PairView
 
 #: Paper's numbers (from 1) of the functions of Fig. 1.
 SHOWN = (2, 3, 4, 5, 12, 13, 14, 15, 22, 23, 24, 25)

@@ -7,22 +7,26 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from clalign.benchmark.methods import PAPER_MIRRORED
+from clalign.benchmark.records import CURVES_FILE, RECORDS_FILE, Record, read_curves, read_records
+from clalign.benchmark.table import mean_curve
+from clalign.benchmark.variants import VariantRuns, variant_label
 from clalign.correspondence import Correspondence
 from clalign.errors import ResultError
 from clalign.evaluation.errors import Evaluation, evaluate
-from clalign.evaluation.methods import PAPER_MIRRORED
 from clalign.evaluation.pairs import Problem
-from clalign.evaluation.records import CURVES_FILE, RECORDS_FILE, Record, read_curves, read_records
-from clalign.evaluation.spectral_errors import TrueMaps, spectral_errors, true_maps
-from clalign.evaluation.table import mean_curve
+from clalign.evaluation.spectral import TrueMaps, spectral_errors, true_maps
 from clalign.evaluation.truth import Truth
-from clalign.evaluation.variants import VariantRuns, variant_label
 from clalign.presentation.curves import AXIS_LABELS
-
-from .eigenfunctions import SHOWN_INDEX, draw_eigenfunctions, draw_pair_rotation, draw_variants
-from .maps import draw_error_curves, draw_matched_colours, draw_mirrored
-from .sheet import PANEL_HEIGHT, Drawing
-from .spectral import draw_funnel, draw_spectral_errors
+from clalign.presentation.figures.eigenfunctions import (
+    SHOWN_INDEX,
+    draw_eigenfunctions,
+    draw_pair_rotation,
+    draw_variants,
+)
+from clalign.presentation.figures.maps import draw_error_curves, draw_matched_colours, draw_mirrored
+from clalign.presentation.figures.sheet import PANEL_HEIGHT, Drawing
+from clalign.presentation.figures.spectral import draw_funnel, draw_spectral_errors
 
 MAIN = "default"
 CURVE_VARIANTS = ("paper", "paper-cycle", "paper-isometric", "paper-heat-kernel", MAIN)

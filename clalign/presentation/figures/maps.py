@@ -10,11 +10,19 @@ from numpy.typing import NDArray
 from clalign.correspondence import Correspondence
 from clalign.evaluation.errors import THRESHOLDS, Evaluation
 from clalign.presentation.curves import AXIS_LABELS, Unit, legend_height, plot_error_curves
-from clalign.presentation.surface_map import surface_map
-
-from .eigenfunctions import _panels
-from .sheet import AFTER, BEFORE, PANEL_HEIGHT, Drawing, Image, Table, new_figure, panel_sheet
-from .surfaces import PairView
+from clalign.presentation.figures.eigenfunctions import _panels
+from clalign.presentation.figures.sheet import (
+    AFTER,
+    BEFORE,
+    PANEL_HEIGHT,
+    Drawing,
+    Image,
+    Table,
+    new_figure,
+    panel_sheet,
+)
+from clalign.presentation.figures.surfaces import PairView
+from clalign.transfer.surface_map import surface_map
 
 _LOSSES = ("total", "align", "unsup", "unitarity")
 _MIRROR_SHOWN = (2, 3, 4, 5)

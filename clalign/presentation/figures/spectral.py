@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.funnel import band_mask, funnel_band
+from clalign.alignment.band import band_mask, funnel_band
 from clalign.correspondence import Correspondence
-from clalign.evaluation.spectral_errors import (
+from clalign.evaluation.spectral import (
     SpectralErrors,
     TrueMaps,
     as_computed,
@@ -18,8 +18,7 @@ from clalign.evaluation.spectral_errors import (
     recovered_rotation,
     true_rotation,
 )
-
-from .sheet import Drawing, Table, new_figure
+from clalign.presentation.figures.sheet import Drawing, Table, new_figure
 
 _RUNNING = 11
 _GAMMA = 0.5

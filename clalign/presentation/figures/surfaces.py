@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from clalign.correspondence import Correspondence
 from clalign.presentation.camera import Up, front_view
 from clalign.presentation.colours import function_colours, position_colours
+from clalign.presentation.figures.sheet import Image
 from clalign.presentation.picture import carried_colours, map_turn
 from clalign.presentation.raster import rasterise
-from clalign.presentation.surface_map import SurfaceMap, surface_map
-
-from .sheet import Image
+from clalign.transfer.surface_map import SurfaceMap, surface_map
 
 _MARGIN = 0.04
 _FULL_COLOUR = 0.98

@@ -1,5 +1,0 @@
-"""The search for the isometry that the alignment starts from."""
-
-from .find import SearchResult, find_isometry
-
-__all__ = ["SearchResult", "find_isometry"]

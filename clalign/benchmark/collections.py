@@ -1,0 +1,338 @@
+"""What a collection is measured by: seconds with different workers, equality of maps, errors before and after."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.collection.cluster import shared_out, wait_for_workers
+from clalign.collection.consistency import NETWORK_BYTES
+from clalign.collection.forecast import size_text
+from clalign.collection.members import DIGEST_LETTERS, Member
+from clalign.collection.result import Collection
+from clalign.collection.rows import PairRow, ShapeRow
+from clalign.collection.run import DEFAULT_LATENT, Progress, match_collection
+from clalign.collection.session import Settings
+from clalign.collection.store import CACHE_FOLDER, PairMaps
+from clalign.collection.work import EIGENVALUES, match_members
+from clalign.errors import ClalignError, OptionError
+from clalign.evaluation.errors import evaluate
+from clalign.evaluation.pairs import TruthFiles
+from clalign.mesh.mesh import Mesh, load_mesh
+from clalign.options import Options
+
+RunName = Literal["one", "two", "scheduler", "star", "tree"]
+RUNS: tuple[RunName, ...] = ("one", "two", "scheduler", "star", "tree")
+TIMES_FILE = "bench.json"
+START_SECONDS = 60.0
+
+
+@dataclass(frozen=True)
+class RunTimes:
+    """Seconds of one run: by the clock, and of the work on all workers together.
+
+    Attributes
+    ----------
+    run : name of the run.
+    workers : how many worked at a time.
+    wall : by the clock; None for a run that was interrupted and gone on with.
+    shapes, pairs, consistent : of the work, by stage.
+    """
+
+    run: str
+    workers: int
+    wall: float | None
+    shapes: float
+    pairs: float
+    consistent: float
+
+    @property
+    def busy(self) -> float | None:
+        """Share of the workers' time that was work."""
+        return None if self.wall is None else (self.shapes + self.pairs + self.consistent) / (self.workers * self.wall)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of some maps: `means` is the mean geodesic error of each in sqrt(area), `flipped` how many are flips."""
+
+    maps: str
+    means: tuple[float, ...]
+    flipped: int | None
+
+    def text(self) -> str:
+        """Return a row of the table."""
+        values = 100 * np.array(self.means)
+        flips = "not known" if self.flipped is None else str(self.flipped)
+        errors = f"{values.mean():.3f} | {np.median(values):.3f} | {values.max():.3f}"
+        return f"| {self.maps} | {len(values)} | {flips} | {errors} |"
+
+
+def run_one(
+    name: RunName, shapes: Path, folder: Path, options: Options, progress: Progress | None = None
+) -> tuple[Collection, RunTimes]:
+    """Make one of the runs in its own folder, with its own prepared shapes; a run that is complete is only read.
+
+    "one" and "two" match all pairs with so many local workers, "scheduler" with two workers started as on other
+    machines, "star" and "tree" match few pairs with two workers and derive the others.
+    """
+    if name not in RUNS:
+        raise OptionError(f"unknown run {name!r}; there are {', '.join(RUNS)}")
+    out, known = folder / name, folder / name / TIMES_FILE
+    if known.is_file():
+        return Collection.load(out), RunTimes(**json.loads(known.read_text(encoding="utf-8")))
+    again = out.exists()
+    workers = 1 if name == "one" else 2
+    pairs = name if name in ("star", "tree") else "all"
+    with hand_started(workers) if name == "scheduler" else contextlib.nullcontext() as address:
+        started = time.perf_counter()
+        collection = match_collection(
+            shapes,
+            out,
+            options,
+            pairs=pairs,
+            scheduler=address,
+            workers=None if address else workers,
+            resume=again,
+            progress=progress,
+        )
+        wall = time.perf_counter() - started
+    times = RunTimes(name, workers, None if again else wall, *_work(collection))
+    known.write_text(json.dumps(asdict(times)) + "\n", encoding="utf-8")
+    return collection, times
+
+
+def _work(collection: Collection) -> tuple[float, float, float]:
+    direct = sum(row.seconds or 0.0 for row in direct_rows(collection))
+    every = sum(row.seconds or 0.0 for row in collection.pairs)
+    return sum(row.seconds or 0.0 for row in collection.shapes), direct, every - direct
+
+
+def direct_rows(collection: Collection) -> list[PairRow]:
+    """Return the rows of the pairs as they were matched, without what the network made of them."""
+    rows = []
+    for source, target in collection.store.pair_names("pairs"):
+        folder = collection.store.pair_folder("pairs", source, target)
+        rows.append(PairRow(**json.loads((folder / "pair.json").read_text(encoding="utf-8"))["row"]))
+    return rows
+
+
+@contextlib.contextmanager
+def hand_started(workers: int) -> Iterator[str]:
+    """Start a scheduler and workers in processes of their own, as on other machines; yield the address.
+
+    Raises
+    ------
+    ClalignError
+        The scheduler did not start.
+    """
+    environment = {**os.environ, **shared_out(workers)}
+    with tempfile.TemporaryDirectory(prefix="clalign-dask-") as folder, contextlib.ExitStack() as stack:
+        file = Path(folder) / "scheduler.json"
+
+        def start(program: str, *arguments: str) -> None:
+            process = subprocess.Popen(
+                [sys.executable, "-m", f"distributed.cli.{program}", "--scheduler-file", str(file), *arguments],
+                env=environment,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            stack.callback(process.wait)
+            stack.callback(process.terminate)
+
+        start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+        limit = time.monotonic() + START_SECONDS
+        while not file.is_file():
+            if time.monotonic() > limit:
+                raise ClalignError(f"the Dask scheduler did not start within {START_SECONDS:.0f} s")
+            time.sleep(0.05)
+        for _ in range(workers):
+            start("dask_worker", "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", folder)
+        address = str(json.loads(file.read_text(encoding="utf-8"))["address"])
+        wait_for_workers(address, workers)
+        yield address
+
+
+def different_maps(first: Collection, second: Collection) -> list[str]:
+    """Return the pairs whose matched maps differ in any bit between two collections, or that only one has."""
+    names = set(first.store.pair_names("pairs")) | set(second.store.pair_names("pairs"))
+    return [" ".join(pair) for pair in sorted(names) if not _equal(first, second, pair)]
+
+
+def _equal(first: Collection, second: Collection, pair: tuple[str, str]) -> bool:
+    try:
+        ours, theirs = (collection.store.read_maps("pairs", *pair) for collection in (first, second))
+    except ClalignError:
+        return False
+    fields = ("target_of_source", "source_of_target", "functional_map")
+    return all(np.array_equal(getattr(ours, name), getattr(theirs, name)) for name in fields)
+
+
+def measured(
+    title: str,
+    collection: Collection,
+    rows: Sequence[PairRow],
+    maps_of: Callable[[PairRow], PairMaps],
+    points: int,
+) -> Errors:
+    """Measure maps against the truth that lies beside the meshes, in the layout of the humans.
+
+    ``X.truth.txt`` beside every mesh X (line i of any two is the same point), else vertex i is vertex i; ``mirror.txt``
+    tells flips.
+    """
+    paths = {row.name: Path(row.path) for row in collection.shapes}
+    meshes: dict[str, Mesh] = {}
+    means, flips = [], []
+    for row in sorted(rows, key=lambda row: (row.source, row.target)):
+        for name in (row.source, row.target):
+            meshes.setdefault(name, load_mesh(paths[name]))
+        source, target = meshes[row.source], meshes[row.target]
+        truth, mirrored = _truth(paths[row.source], paths[row.target]).read(source, target)
+        forward: NDArray[Any] = maps_of(row).target_of_source
+        found = evaluate(forward, truth, source=source, target=target, mirrored=mirrored, points=points)
+        means.append(found.mean)
+        flips.append(found.flipped)
+    known = [flip for flip in flips if flip is not None]
+    return Errors(title, tuple(means), sum(known) if known else None)
+
+
+def _truth(source: Path, target: Path) -> TruthFiles:
+    mirror = source.parent / "mirror.txt"
+    lines = [path.with_name(f"{path.stem}.truth.txt") for path in (source, target)]
+    if all(path.is_file() for path in lines):
+        return TruthFiles("lines", lines[0], lines[1], mirror if mirror.is_file() else None)
+    return TruthFiles("identity", mirror=mirror if mirror.is_file() else None)
+
+
+def error_rows(name: str, collection: Collection, points: int) -> list[Errors]:
+    """Return the errors of a run: of the maps as matched, and of those that it ends with."""
+    store = collection.store
+    matched = [row for row in direct_rows(collection) if row.ok]
+    final = [row for row in collection.pairs if row.ok]
+    return [
+        measured(
+            f"{name}, as matched",
+            collection,
+            matched,
+            lambda row: store.read_maps("pairs", row.source, row.target),
+            points,
+        ),
+        measured(f"{name}, consistent", collection, final, store.final_maps, points),
+    ]
+
+
+def times_table(times: Sequence[RunTimes], differing: dict[str, int]) -> str:
+    """Return the table of seconds, and of maps that differ from those of the first run."""
+    lines = [
+        "| run | workers | seconds | shapes | pairs | consistency | workers busy | maps that differ |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for entry in times:
+        wall = "resumed" if entry.wall is None else f"{entry.wall:.0f}"
+        busy = "" if entry.busy is None else f"{entry.busy:.0%}"
+        work = f"{entry.shapes:.0f} | {entry.pairs:.0f} | {entry.consistent:.0f}"
+        lines.append(f"| {entry.run} | {entry.workers} | {wall} | {work} | {busy} | {differing.get(entry.run, '')} |")
+    return "\n".join(lines)
+
+
+def errors_table(errors: Sequence[Errors]) -> str:
+    """Return the table of errors."""
+    head = "| maps | pairs | flipped | mean | median | worst |\n|---|---:|---:|---:|---:|---:|"
+    return "\n".join([head, *(entry.text() for entry in errors)])
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What one shape and one pair cost, as measured; bytes and seconds.
+
+    Attributes
+    ----------
+    shape_seconds, shape_bytes : of preparing a shape, and of its entries in the cache.
+    pair_seconds, pair_bytes : of matching a pair, and of its folder.
+    loaded : prepared shapes that a worker fetched a pair.
+    messages : bytes of a task and its row between scheduler and worker.
+    worker_memory : of the largest worker at its peak.
+    """
+
+    shape_seconds: float
+    shape_bytes: float
+    pair_seconds: float
+    pair_bytes: float
+    loaded: float
+    messages: float
+    worker_memory: float
+
+    def table(self, pairs: float = 1e6, workers: int = 100) -> str:
+        """Return what so many pairs would cost, all of them matched."""
+        shapes = (1 + math.sqrt(1 + 8 * pairs)) / 2
+        network = min(NETWORK_BYTES, 8 * DEFAULT_LATENT**2 * pairs)
+        hours = (shapes * self.shape_seconds + pairs * self.pair_seconds) / workers / 3600
+        rows = [
+            ("shapes", "1", f"{shapes:.0f}"),
+            (
+                "work",
+                f"{self.shape_seconds:.2f} s a shape, {self.pair_seconds:.2f} s a pair",
+                f"{hours * workers:.0f} h",
+            ),
+            (f"time with {workers} workers", "", f"{hours:.1f} h"),
+            ("memory of a worker", size_text(self.worker_memory), size_text(self.worker_memory)),
+            ("memory of the network", size_text(8 * DEFAULT_LATENT**2), size_text(network)),
+            ("disk, prepared shapes", size_text(self.shape_bytes), size_text(shapes * self.shape_bytes)),
+            ("disk, pairs", size_text(self.pair_bytes), size_text(pairs * self.pair_bytes)),
+            ("traffic, tasks", size_text(self.messages), size_text(pairs * self.messages)),
+            (
+                "traffic, prepared shapes",
+                f"{self.loaded:.2f} a pair",
+                size_text(pairs * self.loaded * self.shape_bytes),
+            ),
+        ]
+        head = f"| what | one | {pairs:.0e} pairs |\n|---|---|---|"
+        return "\n".join([head, *(f"| {name} | {one} | {many} |" for name, one, many in rows)])
+
+
+def costs(collection: Collection) -> Costs:
+    """Return what the shapes and pairs of a collection did cost.
+
+    The seconds of a pair are the median, as the first pair of a worker may wait for kernels to be compiled.
+
+    Raises
+    ------
+    ClalignError
+        No pair was matched.
+    """
+    rows = [row for row in direct_rows(collection) if row.ok]
+    if not rows:
+        raise ClalignError(f"{collection.folder}: no pair was matched, so there is nothing to measure")
+    shapes = [row.seconds for row in collection.shapes if row.ok and row.seconds is not None]
+    sizes = [_folder_bytes(collection.store.pair_folder("pairs", row.source, row.target)) for row in rows]
+    member = Member(rows[0].source, str(collection.folder), DIGEST_LETTERS * "0", 0)
+    settings = Settings(str(collection.folder), Options(), str(collection.folder), 0, "maps", DEFAULT_LATENT)
+    prepared = ShapeRow(member.name, member.path, eigenvalues=(0.5,) * EIGENVALUES)
+    task = (match_members, member, member, (prepared, prepared), settings)
+    return Costs(
+        shape_seconds=float(np.mean(shapes)),
+        shape_bytes=_folder_bytes(collection.folder / CACHE_FOLDER) / max(len(shapes), 1),
+        pair_seconds=float(np.median([row.seconds or 0.0 for row in rows])),
+        pair_bytes=float(np.mean(sizes)),
+        loaded=float(np.mean([row.loaded or 0 for row in rows])),
+        messages=float(len(pickle.dumps(task)) + len(pickle.dumps(rows[0]))),
+        worker_memory=float(max(row.peak_memory or 0 for row in rows)),
+    )
+
+
+def _folder_bytes(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

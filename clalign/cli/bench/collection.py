@@ -1,0 +1,93 @@
+"""``clalign bench collection PATH``: a set of shapes with one worker, two, and a scheduler; errors before and after."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from clalign.cli.terminal import Terminal
+
+_DESCRIPTION = """\
+Match all pairs of a folder of shapes with one local worker, with two, and with two workers of a scheduler in other
+processes, and say how long each takes and whether the maps are the same bit for bit; match a star of the shapes and
+derive the other pairs; and measure errors and flips before and after maps are made consistent. Truth lies beside the
+meshes as in the humans: X.truth.txt, or equal numbering, and mirror.txt.
+"""
+
+_EPILOG = """\
+The folder DIR gets a collection a run, summary.md and summary.json. Run the same command again to go on after an
+interruption; the seconds of a run that was interrupted are not shown.
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``collection`` to the benchmarks."""
+    parser = subparsers.add_parser(
+        "collection",
+        help="a whole set of shapes: seconds, equality of maps, consistency",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("path", metavar="PATH", type=Path, help="folder of meshes, or a file that lists them")
+    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("clalign-bench-collection"))
+    parser.add_argument(
+        "--runs", metavar="NAMES", default="one,two,scheduler,star", help="also: tree (default: %(default)s)"
+    )
+    parser.add_argument("--preset", metavar="NAME", default="default", help="as of 'clalign match'")
+    parser.add_argument("--set", metavar="GROUP.NAME=VALUE", action="append", default=[], dest="changes")
+    parser.add_argument("--points", metavar="N", type=int, default=500, help="points measured a pair")
+    parser.add_argument(
+        "--update", metavar="FILE", type=Path, help="put the tables into the section of FILE named below"
+    )
+    parser.add_argument("--section", metavar="NAME", default="collection", help="of <!-- table:NAME -->")
+    parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
+    parser.add_argument("--json", action="store_true", help="print the summary as one JSON document")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the runs and write the tables; 1 when maps differ between runs or a pair has none."""
+    from clalign.benchmark.collections import costs, different_maps, error_rows, errors_table, run_one, times_table
+    from clalign.benchmark.table import update_file
+    from clalign.options import Options
+
+    changes = dict(change.partition("=")[::2] for change in args.changes)
+    options = Options.preset(args.preset).replace(changes)
+    terminal = Terminal(quiet=args.quiet, as_json=args.json)
+    args.out.mkdir(parents=True, exist_ok=True)
+    times, errors, differing, first, failures = [], [], {}, None, 0
+    for name in [word.strip() for word in args.runs.split(",")]:
+        terminal.note(f"run: {name}")
+        with terminal.progress() as progress:
+            collection, seconds = run_one(name, args.path, args.out, options, progress)
+        times.append(seconds)
+        failures += len(collection.failures)
+        for failure in collection.failures:
+            terminal.warn(f"{name}: {failure}")
+        if name in ("star", "tree") or first is None:
+            errors += error_rows(name, collection, args.points)
+        if first is None:
+            first = collection
+        elif name not in ("star", "tree"):
+            differing[name] = len(different_maps(first, collection))
+    tables = [times_table(times, differing), errors_table(errors)]
+    if first is not None:
+        tables.append(costs(first).table())
+    text = "\n\n".join(tables)
+    document = {
+        "times": [asdict(entry) for entry in times],
+        "errors": [asdict(entry) for entry in errors],
+        "different_maps": differing,
+    }
+    (args.out / "summary.md").write_text(text + "\n", encoding="utf-8")
+    (args.out / "summary.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    terminal.say(text)
+    terminal.say("errors: mean geodesic error of each map x 100 / sqrt(area)")
+    terminal.document(document)
+    if args.update is not None:
+        update_file(args.update, args.section, text)
+    return 1 if any(differing.values()) or failures else 0

@@ -1,0 +1,1 @@
+"""The algebra of maps: point maps, functional maps, nearest neighbours, samples, orientation."""

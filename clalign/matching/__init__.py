@@ -1,0 +1,1 @@
+"""One match from two meshes to a result: stages over a frozen state."""

@@ -1,0 +1,1 @@
+"""Triangle meshes: reading, checking, repairing, writing, and their numbering in files."""

@@ -1,0 +1,187 @@
+"""Triangle meshes as the method sees them: one clean surface of unit area that remembers its file's vertex numbers."""
+
+from __future__ import annotations
+
+import logging
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from clalign.errors import MeshError
+from clalign.mesh.checks import diagnose
+from clalign.mesh.defects import Diagnosis
+from clalign.mesh.reading import FileMesh, read_mesh_file
+from clalign.mesh.topology import boxed, face_areas
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A connected, oriented, manifold triangle surface of unit area, with or without boundary."""
+
+    vertices: NDArray[np.float64]
+    """(n, 3) positions in units of sqrt(area), centred at the area centroid."""
+    faces: NDArray[np.int32]
+    """(m, 3) vertex numbers, consistently oriented; a closed surface points outward."""
+    scale: float
+    """Length in the file of one unit of length here: `vertices * scale + offset` are the file's positions."""
+    offset: NDArray[np.float64]
+    """(3,) the file's position of the area centroid."""
+    name: str
+    """Stem of the file name, or the caller's word for the mesh."""
+    path: str | None
+    """The file, if there was one."""
+    file_index: NDArray[np.int64]
+    """(n,) number in the file of each vertex."""
+    file_count: int
+    """Number of vertices in the file."""
+    notes: tuple[str, ...]
+    """What was put right while loading, as sentences for the user."""
+
+    def __repr__(self) -> str:
+        return f"<Mesh {self.name}: {self.n_vertices:,} vertices, {self.n_faces:,} faces>"
+
+    @property
+    def n_vertices(self) -> int:
+        """Number of vertices on the surface."""
+        return len(self.vertices)
+
+    @property
+    def n_faces(self) -> int:
+        """Number of triangles."""
+        return len(self.faces)
+
+    def file_vertices(self) -> NDArray[np.float64]:
+        """(n, 3) positions of the vertices in the file's own unit and place."""
+        return self.vertices * self.scale + self.offset
+
+
+def load_mesh(path: str | os.PathLike[str]) -> Mesh:
+    """Read an OFF, PLY, OBJ or STL file, keeping the file's vertex numbers.
+
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    Mesh
+        with `file_index` leading back to the file's numbers and `notes` saying what was put right.
+
+    Raises
+    ------
+    MeshError
+        if the file cannot be read, or has a defect that the method cannot work with.
+    """
+    return _mesh_from_file(read_mesh_file(path), Path(path))
+
+
+def mesh_from_arrays(
+    vertices: ArrayLike, faces: ArrayLike, name: str = "mesh", path: str | os.PathLike[str] | None = None
+) -> Mesh:
+    """Check two arrays and scale them to a surface of unit area.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float
+        positions, in any unit.
+    faces : (m, 3) int
+        vertex numbers, counted from 0.
+    name : str
+    path : str or path-like, optional
+        where the arrays came from; only used in messages.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    MeshError
+        if there is a defect that the method cannot work with.
+    """
+    diagnosis = diagnose(vertices, faces, name if path is None else os.fspath(path))
+    return _mesh_from_diagnosis(diagnosis, name, None if path is None else os.fspath(path), ())
+
+
+def as_mesh(thing: Any, name: str = "mesh") -> Mesh:
+    """Take a mesh in any form a caller may hold it in.
+
+    Parameters
+    ----------
+    thing : Mesh, str, path-like, object with `vertices` and `faces` (such as trimesh.Trimesh), or (vertices, faces)
+    name : str
+        name for a mesh that does not come from a file.
+
+    Raises
+    ------
+    MeshError
+        if `thing` is none of these, or is a mesh that cannot be used.
+    """
+    if isinstance(thing, Mesh):
+        return thing
+    if isinstance(thing, (str, os.PathLike)):
+        return load_mesh(thing)
+    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
+        return mesh_from_arrays(thing.vertices, thing.faces, name)
+    if isinstance(thing, (tuple, list)) and len(thing) == 2:
+        return mesh_from_arrays(thing[0], thing[1], name)
+    raise MeshError(
+        f"{name}: expected a path, a trimesh object or a pair (vertices, faces), not {type(thing).__name__}. "
+        "Load a scene's or point cloud's triangle mesh first."
+    )
+
+
+def _mesh_from_file(raw: FileMesh, path: Path) -> Mesh:
+    """Check and scale what was read from `path`."""
+    return _mesh_from_diagnosis(diagnose(raw.vertices, raw.faces, str(path)), path.stem, str(path), raw.notes)
+
+
+def _mesh_from_diagnosis(diagnosis: Diagnosis, name: str, path: str | None, notes: tuple[str, ...]) -> Mesh:
+    """Refuse with the reasons, or scale the surface that the diagnosis left."""
+    surface = diagnosis.usable_surface(name, path)
+    vertices, scale, offset = unit_area(surface.vertices, surface.faces)
+    notes = notes + diagnosis.notes
+    for note in notes:
+        log.info("%s: %s", name if path is None else path, note)
+    return Mesh(
+        vertices=vertices,
+        faces=surface.faces.astype(np.int32),
+        scale=scale,
+        offset=offset,
+        name=name,
+        path=path,
+        file_index=surface.file_index,
+        file_count=diagnosis.n_vertices,
+        notes=notes,
+    )
+
+
+def unit_area(
+    vertices: NDArray[np.float64], faces: NDArray[np.integer]
+) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
+    """Move the area centroid of a surface with positive area to the origin and scale its area to 1.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float
+    faces : (m, 3) int
+
+    Returns
+    -------
+    scaled : (n, 3) float
+    scale : float
+    offset : (3,) float
+        `vertices == scaled * scale + offset` up to rounding.
+    """
+    inside, middle, extent = boxed(vertices)
+    areas = face_areas(inside, faces)
+    area = float(areas.sum())
+    centroid = (areas[:, None] * inside[faces].mean(axis=1)).sum(axis=0) / area
+    side = float(np.sqrt(area))
+    return (inside - centroid) / side, extent * side, middle + extent * centroid

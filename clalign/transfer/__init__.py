@@ -1,0 +1,1 @@
+"""What a correspondence carries from one mesh to the other."""

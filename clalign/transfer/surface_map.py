@@ -1,0 +1,122 @@
+"""A match in the vertex order of the loaded meshes, able to carry values from one shape to the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.correspondence import Correspondence
+from clalign.errors import ResultError
+from clalign.mesh.mesh import Mesh
+
+Direction = Literal["to_source", "to_target"]
+
+
+@dataclass(frozen=True)
+class SurfaceMap:
+    """For every vertex of one shape a place on the other, in the order of the meshes' own arrays.
+
+    Attributes
+    ----------
+    vertex : (n,) int64, vertex of the other shape; -1 where there is none.
+    corners : (n, 3) int64, the vertices of the other shape between which the place lies.
+    weights : (n, 3) float64, its barycentric coordinates there.
+    """
+
+    vertex: NDArray[np.int64]
+    corners: NDArray[np.int64]
+    weights: NDArray[np.float64]
+
+    @property
+    def matched(self) -> NDArray[np.bool_]:
+        """(n,) bool: vertices that have a match."""
+        return self.vertex >= 0
+
+    def pull(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Carry values from the other shape to this one, interpolated in faces where the map is known that finely.
+
+        Parameters
+        ----------
+        values : (n_other,) or (n_other, c) float.
+
+        Returns
+        -------
+        (n,) or (n, c) float64; rows without a match are zero (see `matched`).
+        """
+        values = np.asarray(values, dtype=np.float64)
+        pulled = np.einsum("nc,nc...->n...", self.weights, values[np.maximum(self.corners, 0)])
+        pulled[~self.matched] = 0.0
+        return np.asarray(pulled)
+
+
+def surface_map(
+    correspondence: Correspondence,
+    direction: Direction = "to_source",
+    *,
+    target_of_source: NDArray[np.integer] | None = None,
+    source_of_target: NDArray[np.integer] | None = None,
+) -> SurfaceMap:
+    """Return the map that carries values of the target "to_source", or of the source "to_target".
+
+    Parameters
+    ----------
+    correspondence : the match.
+    direction : "to_source" pulls functions on the target back through `target_of_source`; "to_target" pulls functions
+        on the source back through `source_of_target`.
+    target_of_source, source_of_target : another map between the same files to use instead (an alternative, a truth).
+    """
+    source, target = correspondence.source, correspondence.target
+    if direction == "to_source":
+        if target_of_source is not None:
+            return vertex_map(target_of_source, source, target)
+        return _finest_map(correspondence)
+    chosen = correspondence.source_of_target if source_of_target is None else source_of_target
+    return vertex_map(chosen, target, source)
+
+
+def vertex_map(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> SurfaceMap:
+    """Return a map given in the numbering of the files in that of the meshes' arrays.
+
+    Parameters
+    ----------
+    file_map : (here.file_count,) int, for every vertex of one file a vertex of the other; -1 for none.
+
+    Raises
+    ------
+    ResultError
+        The map's length or an index does not fit the two files.
+    """
+    chosen = _compact(np.asarray(file_map), here, there)
+    corners = np.repeat(chosen[:, None], 3, axis=1)
+    return SurfaceMap(chosen, corners, np.tile([1.0, 0.0, 0.0], (len(chosen), 1)))
+
+
+def _compact(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> NDArray[np.int64]:
+    if file_map.shape != (here.file_count,):
+        raise ResultError(
+            f"the map has shape {file_map.shape}, but {here.name} has {here.file_count} vertices in its file"
+        )
+    if file_map.size and (file_map.min() < -1 or file_map.max() >= there.file_count):
+        wrong = int(np.flatnonzero((file_map < -1) | (file_map >= there.file_count))[0])
+        raise ResultError(
+            f"vertex {wrong} of {here.name} is mapped to {int(file_map[wrong])}, but {there.name} has vertices 0 to "
+            f"{there.file_count - 1}; maps are zero-based here"
+        )
+    mesh_index = np.full(there.file_count + 1, -1, dtype=np.int64)
+    mesh_index[there.file_index] = np.arange(len(there.file_index))
+    return np.asarray(mesh_index[file_map[here.file_index]])
+
+
+def _finest_map(correspondence: Correspondence) -> SurfaceMap:
+    source, target = correspondence.source, correspondence.target
+    coarse = vertex_map(correspondence.target_of_source, source, target)
+    if correspondence.source_faces is None or correspondence.source_barycentric is None:
+        return coarse
+    faces = np.asarray(correspondence.source_faces)[source.file_index]
+    weights = np.asarray(correspondence.source_barycentric, dtype=np.float64)[source.file_index]
+    known = (faces >= 0) & coarse.matched
+    corners = np.where(known[:, None], target.faces[np.maximum(faces, 0)], coarse.corners)
+    return SurfaceMap(coarse.vertex, corners, np.where(known[:, None], weights, coarse.weights))

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import datasets
+import numpy as np
+import pytest
+
+from clalign.benchmark.robustness import CHANGES, robustness
+from clalign.errors import OptionError, ResultError
+from clalign.evaluation.errors import evaluate
+
+
+@pytest.fixture
+def eggs(tmp_path: Path) -> Path:
+    mirror = datasets.write_poses(tmp_path / "eggs", ["ap0", "ap1"])
+    datasets.write_numbers(tmp_path / "eggs" / "mirror.txt", mirror)
+    return tmp_path / "eggs"
+
+
+@pytest.mark.parametrize("change", list(CHANGES))
+def test_the_truth_of_every_change(eggs: Path, change: str) -> None:
+    """The true map made from the truth has no error, is no flip, and lies where the change left the vertices."""
+    if change == "half":
+        pytest.importorskip("fast_simplification")
+    (layout,) = robustness(eggs, [change])
+    assert [pair.name for pair in layout.pairs] == [f"ap0 {change}", f"ap1 {change}"]
+    problem = layout.pairs[1].load()
+    index = np.full(problem.source.file_count, -1)
+    index[problem.truth.source_points] = problem.truth.target_points
+    result = evaluate(
+        index, problem.truth, source=problem.source, target=problem.target, mirrored=problem.mirrored, points=1000
+    )
+    assert result.mean < 0.01
+    assert result.flipped is False
+    assert (result.mirrored_mean or 0) > 0.1
+    assert result.points.size > (20 if change == "half" else 160)
+    assert np.mean(problem.truth.source_points == problem.truth.target_points) < 0.1
+    if change not in ("rotated", "times-1000", "times-0.001"):
+        places = problem.target.file_vertices()[problem.truth.target_points]
+        shift = places - problem.source.file_vertices()[problem.truth.source_points]
+        edge = np.sqrt(4 / np.sqrt(3) / problem.source.n_faces) * problem.source.scale
+        assert np.linalg.norm(shift, axis=1).mean() < 0.5 * edge
+
+
+def test_without_a_mirror_file_nothing_is_left_out(eggs: Path) -> None:
+    (eggs / "mirror.txt").unlink()
+    problem = robustness(eggs, ["rotated"])[0].pairs[0].load()
+    assert problem.mirrored is None
+    assert problem.truth.count == 162
+
+
+def test_bad_calls(eggs: Path, tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="unknown change 'melted'"):
+        robustness(eggs, ["melted"])
+    with pytest.raises(ResultError, match="no mesh file"):
+        robustness(tmp_path)

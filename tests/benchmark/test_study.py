@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import datasets
+import pytest
+from datasets import NearestMethod
+
+from clalign.benchmark import study
+from clalign.benchmark.methods import own_method
+from clalign.benchmark.study import STUDIES, is_base, methods_of, settings_of, study_table
+from clalign.benchmark.variants import VARIANT_LABELS
+from clalign.cli.main import main
+from clalign.errors import OptionError
+from clalign.options import Options
+
+
+@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("changes", [{}, {"alignment.weight": 77.0, "spectrum.xi": 0.33, "alignment.rounds": 4}])
+def test_every_study_has_the_base_and_different_rows(name: str, changes: dict[str, float]) -> None:
+    base = Options().replace(changes)
+    settings = settings_of(name, base)
+    methods = methods_of(settings, base)
+    assert any(is_base(setting, base) for setting in settings)
+    assert len({setting.label for setting in settings}) == len(settings)
+    assert len({method.settings for method in methods}) == len(methods)
+    assert sum(method.options == base for method in methods) == 1
+    assert len(methods) >= 4
+
+
+def test_unknown_study() -> None:
+    with pytest.raises(OptionError, match="there are weight, band, xi, sizes, samples, rounds"):
+        settings_of("speed", Options())
+
+
+@pytest.mark.parametrize("name", VARIANT_LABELS)
+def test_every_labelled_variant_is_a_method(name: str) -> None:
+    assert own_method(name, {"seed": 3}).options.seed == 3
+    with pytest.raises(OptionError, match="unknown option"):
+        own_method(name, {"seeds": 3})
+
+
+def test_command_writes_one_table_a_study_and_marks_the_default(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        study, "AlignMethod", lambda name, options: NearestMethod(name, fails_on="ap2" if "50" in name else "")
+    )
+    data, out, page = tmp_path / "mid", tmp_path / "out", tmp_path / "page.md"
+    datasets.write_poses(data, ["ap0", "ap1", "ap2"])
+    (data / "pairs_same.txt").write_text("ap0 ap1\nap0 ap2\nap0 ap9\n", encoding="ascii")
+    page.write_text("<!-- table:study-weight -->\n<!-- /table:study-weight -->\n", encoding="utf-8")
+    command = ["bench", "study", str(data), "--of", "weight", "--out", str(out)]
+    assert main([*command, "--update", str(page)]) == 1
+    captured = capsys.readouterr()
+    assert "no mesh ap9" in captured.err
+    assert "ap0 ap2 by λ = 50 failed: ap2 is not to my taste" in captured.err
+    table = (out / "study-weight.md").read_text(encoding="utf-8").strip()
+    assert table in captured.out
+    assert table in page.read_text(encoding="utf-8")
+    assert table.count("(default)") == 1
+    assert "| **λ = 200** (default) | 2 |" in table
+    assert "| λ = 50 | 2 (1 failed) |" in table
+    assert main([*command[:-2], "--of", "rounds", "--out", str(out), "--limit", "1", "--json", "--quiet"]) == 0
+    summaries = json.loads(capsys.readouterr().out)["rounds"]
+    assert {summary["pairs"] for summary in summaries} == {1}
+    with (out / "pairs.csv").open(encoding="utf-8") as stream:
+        rows = [row for row in csv.DictReader(stream) if row["method"] == study.BASE]
+    assert [row["pair"] for row in rows] == ["ap0 ap1", "ap0 ap2"]
+
+
+def test_command_takes_the_layout_of_faust_and_a_section(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study, "AlignMethod", lambda name, options: NearestMethod(name))
+    root, page = tmp_path / "faust", tmp_path / "page.md"
+    datasets.write_poses(root, [f"tr_reg_{number:03d}" for number in (0, 1, 10)])
+    page.write_text("<!-- table:own-rounds -->\n<!-- /table:own-rounds -->\n", encoding="utf-8")
+    command = ["bench", "study", "--of", "rounds", "--out", str(tmp_path / "out"), "--quiet"]
+    assert main([*command, "--root", str(root), "--update", str(page), "--section", "own"]) == 0
+    assert "| **rounds = 3** (default) | 1 |" in page.read_text(encoding="utf-8")
+    for folders in ([], [str(root), "--root", str(root)]):
+        capsys.readouterr()
+        assert main([*command, *folders]) == 2
+        assert "name either a folder in the layout of the humans, or with --root" in capsys.readouterr().err
+
+
+def test_table_repeats_the_base_for_each_of_its_rows() -> None:
+    base = Options()
+    settings = settings_of("samples", base)
+    assert sum(is_base(setting, base) for setting in settings) == 2
+    assert study_table("title", settings, [], base).count("\n") == 1

@@ -1,0 +1,66 @@
+"""Orders and guesses: they save time, and change nothing that is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from clalign.engine import Backend, Reference
+from clalign.maps import functional_maps as maps_module
+from clalign.maps import nearest as nearness
+from clalign.maps.functional_maps import PointMaps, nearest_rows, point_maps
+from clalign.maps.nearest import VertexOrder, nearest_in_order
+
+Sides = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@pytest.fixture(params=["reference", "device"])
+def any_backend(request: pytest.FixtureRequest, kernels: Backend) -> Backend:
+    return Reference() if request.param == "reference" else kernels
+
+
+@pytest.fixture
+def embedded(rng: np.random.Generator) -> Sides:
+    """Of 700 and 433 points near each other in 90 dimensions."""
+    target = rng.normal(size=(433, 90))
+    return target[rng.integers(0, 433, size=700)] + 0.2 * rng.normal(size=(700, 90)), target
+
+
+def test_neighbours_come_near_each_other(rng: np.random.Generator) -> None:
+    points = rng.random(size=(3000, 3))
+    order = VertexOrder.in_space(points)
+    np.testing.assert_array_equal(order.places[order.vertices], np.arange(3000))
+    steps = np.linalg.norm(np.diff(points[order.vertices], axis=0), axis=1)
+    assert steps.mean() < 0.4 * np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
+
+
+def test_orders_and_guesses_change_no_map(any_backend: Backend, embedded: Sides, rng: np.random.Generator) -> None:
+    x, y = (any_backend.array(side) for side in embedded)
+    expected = PointMaps(nearest_rows(any_backend, *embedded), nearest_rows(any_backend, *embedded[::-1]))
+    orders = VertexOrder.of(rng.permutation(700)), VertexOrder.of(rng.permutation(433))
+    wrong = PointMaps(rng.integers(0, 433, size=700), rng.integers(0, 700, size=433))
+    for given in (None, orders):
+        for guess in (None, expected, wrong):
+            found = point_maps(any_backend, x, y, given, guess)
+            np.testing.assert_array_equal(found.target_of_source, expected.target_of_source)
+            np.testing.assert_array_equal(found.source_of_target, expected.source_of_target)
+
+
+def test_guesses_that_are_looked_for_change_nothing(
+    any_backend: Backend, embedded: Sides, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    queries, points = (any_backend.array(side) for side in embedded)
+    monkeypatch.setattr(nearness, "WORTH_A_GUESS", 100)
+    found = nearest_in_order(any_backend, queries, points, any_backend.half_squares(points))
+    np.testing.assert_array_equal(found, nearest_rows(any_backend, *embedded))
+
+
+def test_very_many_pairs_are_compared_among_cells_as_they_are_numbered(
+    embedded: Sides, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backend = Reference()
+    monkeypatch.setattr(maps_module, "EXHAUSTIVE", 1000)
+    orders = VertexOrder.of(rng.permutation(700)), VertexOrder.of(rng.permutation(433))
+    found = point_maps(backend, *embedded, orders)
+    np.testing.assert_array_equal(found.target_of_source, nearest_rows(backend, *embedded))

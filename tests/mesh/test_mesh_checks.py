@@ -1,0 +1,216 @@
+"""Every malformed mesh gives its own finding, with the numbers of the file, and repair makes a usable mesh of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import malformed
+import numpy as np
+import pytest
+import shapes
+from malformed import Malformed
+
+from clalign.errors import MeshError
+from clalign.mesh import topology as topology
+from clalign.mesh.checks import diagnose
+from clalign.mesh.defects import Severity
+from clalign.mesh.mesh import load_mesh, mesh_from_arrays
+from clalign.mesh.repair import repair
+
+CASES = malformed.surfaces()
+
+
+def case_id(case: Malformed) -> str:
+    return case.name.replace(" ", "-")
+
+
+@pytest.mark.parametrize("case", CASES, ids=case_id)
+def test_each_defect_is_found_and_named(case: Malformed) -> None:
+    diagnosis = diagnose(case.vertices, case.faces)
+    found = {defect.kind: defect for defect in diagnosis.defects}
+    assert case.kind in found, list(found)
+    defect = found[case.kind]
+    assert set(case.numbers) <= {*defect.vertices, *defect.faces}
+    assert (defect.severity is Severity.REFUSED) == case.refused
+    assert bool(diagnosis.refused) == case.refused, "one defect must not be reported as another"
+    if case.refused:
+        with pytest.raises(MeshError, match=r"Way out: \w|Way out: `") as error:
+            mesh_from_arrays(case.vertices, case.faces, "thing")
+        assert str(error.value).startswith("thing: ")
+        assert defect.problem in str(error.value)
+    else:
+        mesh = mesh_from_arrays(case.vertices, case.faces)
+        assert len(mesh.notes) == sum(d.severity is Severity.HANDLED for d in diagnosis.defects)
+        np.testing.assert_allclose(mesh.file_vertices(), case.vertices[mesh.file_index], atol=1e-12)
+
+
+@pytest.mark.parametrize("case", CASES, ids=case_id)
+def test_repair_makes_a_usable_mesh_or_says_why_not(case: Malformed) -> None:
+    if not case.repairable:
+        with pytest.raises(MeshError, match="cannot be repaired"):
+            repair(case.vertices, case.faces)
+        return
+    repaired = repair(case.vertices, case.faces)
+    mesh = mesh_from_arrays(repaired.vertices, repaired.faces)
+    assert repaired.notes or case.kind == "boundary"
+    assert mesh.n_vertices == len(repaired.vertices)
+    np.testing.assert_array_equal(repaired.vertices, case.vertices[repaired.file_index])
+    # Every triangle of the result is one of the mesh; at most its direction has changed.
+    given = {tuple(sorted(face)) for face in case.faces.tolist()}
+    assert {tuple(sorted(face)) for face in repaired.file_index[repaired.faces].tolist()} <= given
+
+
+def test_a_sound_mesh_has_no_findings_and_is_not_changed_by_repair() -> None:
+    vertices, faces = shapes.bumpy_sphere(2)
+    diagnosis = diagnose(vertices, faces)
+    assert diagnosis.defects == ()
+    assert (diagnosis.euler_characteristic, diagnosis.genus, diagnosis.boundary_loops) == (2, 0, 0)
+    repaired = repair(vertices, faces)
+    assert repaired.notes == ()
+    np.testing.assert_array_equal(repaired.vertices, vertices)
+    np.testing.assert_array_equal(repaired.faces, faces)
+
+
+def test_handles_and_boundaries_are_counted() -> None:
+    vertices, faces = malformed.strip(30, 2)
+    diagnosis = diagnose(vertices, faces)
+    assert (diagnosis.euler_characteristic, diagnosis.genus, diagnosis.boundary_loops) == (0, 0, 2)
+    u, v = np.meshgrid(np.arange(20), np.arange(12), indexing="ij")
+    tube = 3 + np.cos(2 * np.pi * v / 12)
+    angle = 2 * np.pi * u / 20
+    torus = np.stack([tube * np.cos(angle), tube * np.sin(angle), np.sin(2 * np.pi * v / 12)], axis=-1).reshape(-1, 3)
+    a, b = (u * 12 + v).ravel(), (((u + 1) % 20) * 12 + v).ravel()
+    c, d = (((u + 1) % 20) * 12 + (v + 1) % 12).ravel(), (u * 12 + (v + 1) % 12).ravel()
+    diagnosis = diagnose(torus, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
+    assert (diagnosis.euler_characteristic, diagnosis.genus, diagnosis.boundary_loops) == (0, 1, 0)
+
+
+def test_repair_keeps_the_body_when_it_cuts_the_fin() -> None:
+    vertices, faces = malformed.sphere()
+    fin = next(case for case in CASES if case.name == "fin")
+    repaired = repair(fin.vertices, fin.faces)
+    np.testing.assert_array_equal(repaired.file_index, np.arange(len(vertices)))
+    np.testing.assert_array_equal(repaired.faces, faces)
+
+
+def finned(body: malformed.Arrays) -> malformed.Arrays:
+    """A body with a small fin on every edge."""
+    vertices, faces = body
+    edges = topology.unique_edges(faces)
+    fins = np.column_stack([edges, len(vertices) + np.arange(len(edges))])
+    return np.concatenate([vertices, 1.1 * vertices[edges].mean(axis=1)]), np.concatenate([faces, fins])
+
+
+def test_repair_keeps_the_body_among_fins_on_every_edge() -> None:
+    vertices, faces = shapes.bumpy_sphere(3)
+    repaired = repair(*finned((vertices, faces)))
+    np.testing.assert_array_equal(repaired.file_index, np.arange(len(vertices)))
+    np.testing.assert_array_equal(repaired.faces, faces)
+
+
+def test_repair_keeps_the_body_and_drops_the_wall_inside() -> None:
+    vertices, faces = shapes.bumpy_sphere(3)
+    above = vertices[faces].mean(axis=1)[:, 2] > 0
+    rim = topology.boundary_edges(faces[above], len(vertices))
+    wall = np.column_stack([rim, np.full(len(rim), len(vertices))])
+    repaired = repair(np.concatenate([vertices, [[0.0, 0, 0]]]), np.concatenate([faces, wall]))
+    np.testing.assert_array_equal(repaired.file_index, np.arange(len(vertices)))
+    np.testing.assert_array_equal(repaired.faces, faces)
+
+
+@pytest.mark.parametrize("half_turns", [1, 3])
+def test_repair_opens_a_moebius_strip_along_one_cut(half_turns: int) -> None:
+    vertices, faces = malformed.strip(40, half_turns)
+    repaired = repair(vertices, faces)
+    diagnosis = diagnose(repaired.vertices, repaired.faces)
+    assert (diagnosis.boundary_loops, diagnosis.euler_characteristic) == (1, 1)
+    assert len(repaired.faces) == len(faces)
+
+
+def test_repair_joins_coincident_vertices_on_request() -> None:
+    vertices, faces = malformed.sphere()
+    soup = vertices[faces].reshape(-1, 3)
+    corners = np.arange(len(soup)).reshape(-1, 3)
+    with pytest.raises(MeshError, match=r"320 separate pieces.*--merge"):
+        mesh_from_arrays(soup, corners)
+    with pytest.raises(MeshError, match="cannot be repaired"):
+        repair(soup, corners)
+    repaired = repair(soup, corners, merge=True)
+    assert (len(repaired.vertices), len(repaired.faces)) == (len(vertices), len(faces))
+    assert diagnose(repaired.vertices, repaired.faces).genus == 0
+
+
+def test_repair_survives_random_damage(rng: np.random.Generator) -> None:
+    vertices, faces = shapes.bumpy_sphere(2)
+    for _ in range(60):
+        damaged = faces.copy()
+        chosen = rng.choice(len(faces), size=rng.integers(1, 40), replace=False)
+        damaged[chosen, rng.integers(0, 3, len(chosen))] = rng.integers(-2, len(vertices) + 2, len(chosen))
+        extra = rng.integers(0, len(vertices), size=(rng.integers(0, 30), 3))
+        repaired = repair(vertices, np.concatenate([damaged, extra]))
+        assert not diagnose(repaired.vertices, repaired.faces).refused
+        assert len(repaired.faces) > 150
+
+
+def test_the_message_names_the_file_the_place_and_the_way_out(tmp_path: Path) -> None:
+    fin = next(case for case in CASES if case.name == "fin")
+    path = shapes.write_off(tmp_path / "my fin.off", fin.vertices, fin.faces)
+    with pytest.raises(MeshError) as error:
+        load_mesh(path)
+    a, b, _ = fin.faces[-1]
+    message = str(error.value)
+    assert message.startswith(
+        f"{path}: 1 edge belongs to more than two faces (vertices {min(a, b)}, {max(a, b)}; faces "
+    )
+    assert message.endswith(f"Way out: `clalign check '{path}' --repair OUT` writes a repaired copy.")
+
+
+def test_arrays_of_other_shapes_and_types_are_refused() -> None:
+    vertices, faces = malformed.sphere()
+    for bad_vertices, bad_faces in [
+        (vertices[:, :2], faces),
+        (vertices.ravel(), faces),
+        (vertices.astype(str), faces),
+        (vertices + 1j, faces),
+        (vertices, faces + 0.5),
+        (vertices, np.where(faces == 3, np.nan, faces)),
+        (vertices, np.column_stack([faces, faces[:, 0]])),
+        (vertices, [[0, 1, 2], [0, 1]]),
+    ]:
+        with pytest.raises(MeshError, match=r"thing: (vertices|faces) (have|must)"):
+            mesh_from_arrays(bad_vertices, bad_faces, "thing")
+
+
+def test_float_and_unsigned_face_numbers_are_taken() -> None:
+    vertices, faces = malformed.sphere()
+    expected = mesh_from_arrays(vertices, faces).faces
+    for kind in (np.float32, np.uint32, np.int16, np.uint64):
+        np.testing.assert_array_equal(mesh_from_arrays(vertices.tolist(), faces.astype(kind)).faces, expected)
+
+
+def seconds(action: Callable[[], object]) -> float:
+    """Processor time of one run, which other programs on the machine do not disturb."""
+    start = time.process_time()
+    action()
+    return time.process_time() - start
+
+
+def test_time_grows_with_the_size_not_its_square() -> None:
+    def check(columns: int) -> None:
+        mesh_from_arrays(*malformed.grid(200, columns))
+
+    def many_duplicates(faces: int) -> None:
+        soup = np.tile(np.eye(3), (faces, 1))
+        with pytest.raises(MeshError, match="separate pieces"):
+            mesh_from_arrays(soup, np.arange(len(soup)).reshape(-1, 3))
+
+    def untangle(subdivisions: int) -> None:
+        repair(*finned(shapes.bumpy_sphere(subdivisions)))
+
+    check(10)
+    for action, small in [(check, 60), (many_duplicates, 20_000)]:
+        few, many = seconds(lambda: action(small)), seconds(lambda: action(16 * small))  # noqa: B023
+        assert many < 64 * max(few, 0.01)
+    assert seconds(lambda: untangle(5)) < 64 * max(seconds(lambda: untangle(3)), 0.01)
