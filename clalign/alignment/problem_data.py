@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.geometry.sampling import VertexOrder
 from clalign.geometry.shape import Shape
-from clalign.maps.nearest import VertexOrder
-from clalign.maps.sampling import spread_samples
 from clalign.options import AlignmentOptions
 
 
@@ -74,7 +73,7 @@ def aligned_side(
         normal=basis.T @ basis if uniform else None,
         left=shape.factors.left,
         core=shape.factors.core,
-        order=VertexOrder.in_space(shape.mesh.vertices),
+        order=shape.order,
     )
 
 
@@ -91,7 +90,7 @@ def sampled_factors(shape: Shape, options: AlignmentOptions) -> SampledFactors:
         vertices = np.arange(count)
         weights = np.full(count, 1.0 / count) if options.weights == "uniform" else shape.mass
     else:
-        spread = spread_samples(shape, options.samples)
+        spread = shape.samples(options.samples)
         vertices, weights = spread.vertices, spread.weights
     left = shape.factors.left[vertices]
     gram = left.T @ (weights[:, None] * left)

@@ -17,7 +17,7 @@ from clalign.alignment.problem_data import AlignedSide, SampledFactors
 from clalign.benchmark.performance import elapsed, exponent_text, fitted_exponent, markdown_table, seconds_text
 from clalign.engine.backend import Backend
 from clalign.errors import ClalignError
-from clalign.maps.nearest import VertexOrder
+from clalign.geometry.sampling import VertexOrder
 from clalign.options import AlignmentOptions
 
 Single = NDArray[np.float32]
@@ -158,7 +158,7 @@ def synthetic_problem(
         normal=None,
         left=left,
         core=core + core.T,
-        order=VertexOrder.given(count),
+        order=VertexOrder.identity(count),
     )
     factors = SampledFactors(np.arange(chosen), np.full(chosen, 1.0 / chosen), left[:chosen], core + core.T)
     options = AlignmentOptions()

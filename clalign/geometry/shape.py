@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,8 +28,10 @@ from clalign.geometry.operators import (
     orientation_tensor,
     stiffness,
 )
+from clalign.geometry.sampling import Samples, VertexOrder, spread_samples
 from clalign.geometry.spectra import Spectrum, solve
 from clalign.geometry.workers import processor_count, single_threaded_blas, thread_pool
+from clalign.memoize import memoize
 from clalign.mesh.mesh import Mesh
 from clalign.options import GeodesicOptions, Options, SpectrumOptions
 
@@ -42,6 +45,9 @@ ORIENTATION_FUNCTIONS = 30
 SIGNATURE_TIMES = np.geomspace(0.002, 0.05, 6)
 CURVATURE_TIME = 0.001
 CURVATURE_QUANTILE = 0.98
+#: Samples of maps between two shapes, and patches that such maps are chosen by.
+SAMPLES = 1000
+PATCHES = 100
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,16 @@ class Shape:
     orientation: NDArray[np.float64]
     signatures: NDArray[np.float64]
     curvatures: NDArray[np.float64]
+
+    @cached_property
+    def order(self) -> VertexOrder:
+        """The vertices in an order in which neighbours follow each other."""
+        return VertexOrder.spatial(self.mesh.vertices)
+
+    @memoize
+    def samples(self, count: int = SAMPLES, patches: int = PATCHES) -> Samples:
+        """Return `count` samples spread over the surface; see `spread_samples`."""
+        return spread_samples(self.mesh.vertices, self.mass, self.geodesics, count, patches)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.engine.backend import Backend
+from clalign.geometry.sampling import VertexOrder
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.inverted_file import nearest_in_cells
-from clalign.maps.nearest import Orders, VertexOrder, in_order, nearest_vertices, numbered
+from clalign.maps.nearest import Orders, in_order, nearest_vertices, numbered
 
 EXHAUSTIVE = 400_000_000
 """Pairs of rows up to which every pair is compared; about 20,000 vertices on each side."""
@@ -64,7 +65,7 @@ def point_maps(
     guess : maps that are nearly right, or None.
     """
     if orders is None:
-        orders = VertexOrder.given(source_embedding.shape[0]), VertexOrder.given(target_embedding.shape[0])
+        orders = VertexOrder.identity(source_embedding.shape[0]), VertexOrder.identity(target_embedding.shape[0])
         return point_maps_in_order(backend, source_embedding, target_embedding, orders, guess)
     turned = in_order(backend, source_embedding, orders[0]), in_order(backend, target_embedding, orders[1])
     return point_maps_in_order(backend, *turned, orders, guess)

@@ -9,55 +9,19 @@ points at exactly the same distance the first in that order is taken.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from clalign.engine.backend import Backend
-
-LEAF = 16
-"""Vertices that follow each other in no particular order: about as many points as a group of a backend has."""
+from clalign.geometry.sampling import VertexOrder
 
 COARSE = 8
 """Without a guess, every so many points are searched first ..."""
 
 WORTH_A_GUESS = 4096
 """... if there are so many, below which the search itself is as quick."""
-
-
-@dataclass(frozen=True, eq=False)
-class VertexOrder:
-    """An order of the vertices of a shape.
-
-    Attributes
-    ----------
-    vertices : (n,) int64, which vertex is in each place.
-    places : (n,) int64, the place of each vertex.
-    """
-
-    vertices: NDArray[np.int64]
-    places: NDArray[np.int64]
-
-    @staticmethod
-    def of(vertices: NDArray[np.integer]) -> VertexOrder:
-        """Return the order in which vertex ``vertices[i]`` comes at place i, for a permutation (n,)."""
-        wanted = np.asarray(vertices, dtype=np.int64)
-        places = np.empty_like(wanted)
-        places[wanted] = np.arange(wanted.size)
-        return VertexOrder(wanted, places)
-
-    @staticmethod
-    def in_space(points: NDArray[np.float64]) -> VertexOrder:
-        """Return an order in which points (n, 3) near each other come near each other: that of the leaves of a tree."""
-        return VertexOrder.of(cKDTree(points, leafsize=LEAF).indices)
-
-    @staticmethod
-    def given(count: int) -> VertexOrder:
-        """Return the order in which `count` vertices are numbered."""
-        return VertexOrder.of(np.arange(count))
 
 
 Orders = tuple[VertexOrder, VertexOrder]
@@ -99,7 +63,7 @@ def nearest_vertices(
     guess : (m,) vertices, for every vertex in its number.
     """
     here, there = orders
-    placed = None if guess is None else there.places[guess[here.vertices]]
+    placed = None if guess is None else there.inverse[guess[here.vertices]]
     return numbered(nearest_in_order(backend, queries, points, backend.half_squares(points), placed), orders)
 
 

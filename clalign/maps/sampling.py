@@ -13,37 +13,19 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from clalign.engine.backend import Backend
-from clalign.geometry.shape import Shape
+from clalign.geometry.sampling import Samples, VertexOrder
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.functional_maps import both_directions
-from clalign.maps.nearest import VertexOrder, nearest_in_order
+from clalign.maps.nearest import nearest_in_order
 
-SAMPLES = 1000
 RIDGE = 1e-5
 """Of the two-way least squares, relative to the mean diagonal entry.
 
 Functions that live between the samples make the Gram matrix singular, which single precision may turn negative: its
 largest eigenvalue is some thirty times the mean, and rounds to a few millionths of it.
 """
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Vertices spread evenly over a shape.
-
-    Attributes
-    ----------
-    vertices : (S,) int64.
-    weights : (S,) float64, share of the area that is closest to each; sums to 1.
-    pieces : (S,) int64, number of the piece of the surface that each lies in.
-    """
-
-    vertices: NDArray[np.int64]
-    weights: NDArray[np.float64]
-    pieces: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,31 +79,13 @@ class SampleMaps:
     source_of_target: NDArray[np.int64]
 
 
-def spread_samples(shape: Shape, count: int = SAMPLES, pieces: int = 100) -> Samples:
-    """Return the farthest-point samples of a shape, and more where it has fewer than `count`.
-
-    Large meshes have few geodesic samples; what is missing is chosen farthest from those before in space, which spreads
-    them as evenly but for parts that touch. A piece is what is closest, on the surface, to one of the first samples.
-    """
-    geodesic = shape.geodesics.samples[:count]
-    wanted = min(count, shape.mesh.n_vertices)
-    if geodesic.size < wanted:
-        vertices = _farthest_in_space(shape.mesh.vertices, geodesic, wanted)
-        _, nearest = cKDTree(shape.mesh.vertices[vertices]).query(shape.mesh.vertices)
-        weights = np.bincount(nearest, weights=shape.mass, minlength=wanted).astype(np.float64)
-    else:
-        vertices, weights = geodesic, shape.geodesics.sample_weights(geodesic.size)
-    rows = shape.geodesics.rows[:pieces, vertices]
-    return Samples(vertices, weights, np.argmin(rows, axis=0).astype(np.int64))
-
-
 def sampled_basis(
     backend: Backend, spectrum: Spectrum, samples: Samples, order: VertexOrder | None = None
 ) -> SampledBasis:
     """Bind eigenfunctions to samples, and bring them to the backend once, in the order given or as they are."""
     functions = spectrum.functions.astype(np.float32)
     if order is None:
-        order = VertexOrder.given(len(functions))
+        order = VertexOrder.identity(len(functions))
     return SampledBasis(functions, samples, order, backend.array(functions[order.vertices]))
 
 
@@ -186,10 +150,10 @@ def nearest_samples(
     bases, found = (source, target), []
     for here, there in ((0, 1), (1, 0)):
         own, matches = bases[here], guesses[here]
-        places = own.order.places[own.samples.vertices]
+        places = own.order.inverse[own.samples.vertices]
         order = np.argsort(places)
         queries = backend.gather(embedded[here], backend.array(places[order].astype(np.int32)))
-        guessed = None if matches is None else bases[there].order.places[matches[order]]
+        guessed = None if matches is None else bases[there].order.inverse[matches[order]]
         points = embedded[there]
         index = nearest_in_order(backend, queries, points, backend.half_squares(points), guessed)
         nearest = np.empty(places.size, dtype=np.int64)
@@ -206,18 +170,3 @@ def coherent_sample_steps(
         functional = sample_functional_map(source, target, maps, size)
         maps = nearest_samples(backend, source, target, coherent_factors(functional), maps)
     return maps
-
-
-def _farthest_in_space(points: NDArray[np.float64], chosen: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Extend `chosen` to `count` points, each farthest in space from those before."""
-    gaps, _ = cKDTree(points[chosen]).query(points)
-    squares = gaps**2
-    # Vertices may coincide; none is taken twice.
-    squares[chosen] = -1.0
-    added = list(chosen)
-    while len(added) < count:
-        following = int(squares.argmax())
-        added.append(following)
-        np.minimum(squares, np.sum((points - points[following]) ** 2, axis=1), out=squares)
-        squares[following] = -1.0
-    return np.array(added, dtype=np.int64)

@@ -20,7 +20,6 @@ from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.functional_maps import PointMaps, orthogonalised, point_maps_in_order
-from clalign.maps.nearest import VertexOrder
 from clalign.maps.orientation import carried_products, index_pairs
 from clalign.maps.sampling import (
     SampledBasis,
@@ -31,7 +30,6 @@ from clalign.maps.sampling import (
     quickly_orthogonalised,
     sample_functional_map,
     sampled_basis,
-    spread_samples,
 )
 from clalign.refinement.zoomout import GROWTHS, up_sampled
 
@@ -133,7 +131,7 @@ def _chosen(
     residuals: list[NDArray[np.float32]],
     agreements: list[NDArray[np.float64]] | None,
 ) -> NDArray[np.int64]:
-    weights, pieces = basis.samples.weights, basis.samples.pieces
+    weights, pieces = basis.samples.weights, basis.samples.patches
 
     def totals(values: list[Any]) -> NDArray[np.float64]:
         return np.stack([np.bincount(pieces, weights=weights * each) for each in values])
@@ -161,8 +159,7 @@ def piecewise_maps(
     functional : (k, k), between Laplace–Beltrami functions.
     size : at most so many Laplace–Beltrami functions are used.
     """
-    spread = spread_samples(source), spread_samples(target)
-    orders = VertexOrder.in_space(source.mesh.vertices), VertexOrder.in_space(target.mesh.vertices)
+    spread, orders = (source.samples(), target.samples()), (source.order, target.order)
     low_x, low_y, high_x, high_y = (
         sampled_basis(backend, spectrum, own, order)
         for spectra in ((source.basis, target.basis), descriptors)
@@ -174,7 +171,7 @@ def piecewise_maps(
 
     grown = []
     for growth in GROWTHS:
-        larger = up_sampled(backend, source, target, functional, min(size, GROWN), growth, orders, spread[1])
+        larger = up_sampled(backend, source, target, functional, min(size, GROWN), growth)
         started = nearest_samples(backend, low_x, low_y, (np.eye(len(larger)), orthogonalised(larger)))
         grown.append(settled(started, SETTLING))
     orientations = Orientations(low_x, low_y, source.orientation, target.orientation)

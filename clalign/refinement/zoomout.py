@@ -23,8 +23,7 @@ from clalign.maps.functional_maps import (
     two_way_least_squares,
     wavelet_filtered,
 )
-from clalign.maps.nearest import Orders, VertexOrder, nearest_in_order
-from clalign.maps.sampling import Samples, spread_samples
+from clalign.maps.nearest import nearest_in_order
 from clalign.refinement.pointwise import Kind, pointwise_fields
 from clalign.search.batch import Level, SamplePair, up_sample
 from clalign.search.sampled import sampled
@@ -65,8 +64,6 @@ def up_sampled(
     functional: NDArray[np.float64],
     size: int,
     growth: Growth = GROWTHS[0],
-    orders: Orders | None = None,
-    samples: Samples | None = None,
 ) -> NDArray[np.float64]:
     """Return the functional map grown to `size` functions (ZoomOut on samples of Y against all vertices of X).
 
@@ -76,18 +73,13 @@ def up_sampled(
     Parameters
     ----------
     functional : (k, k), where to start.
-    orders : of the vertices of both shapes, or None to make them.
-    samples : of the target, or None to make them.
     """
-    order_x, order_y = orders or (
-        VertexOrder.in_space(source.mesh.vertices),
-        VertexOrder.in_space(target.mesh.vertices),
-    )
-    spread = samples or spread_samples(target, UP_SAMPLING_QUERIES)
-    placed = np.argsort(order_y.places[spread.vertices])
+    spread = target.samples(UP_SAMPLING_QUERIES)
+    placed = np.argsort(target.order.inverse[spread.vertices])
     queried, weights = spread.vertices[placed], spread.weights[placed]
     largest = min(size, source.basis.count, target.basis.count, queried.size // 2)
-    basis, functions = target.basis.functions[queried, :largest], source.basis.functions[order_x.vertices, :largest]
+    basis = target.basis.functions[queried, :largest]
+    functions = source.basis.functions[source.order.vertices, :largest]
     weighted = basis * weights[:, None]
     gram = basis.T @ weighted
     kept = min(growth.start or len(functional), len(functional), largest)
@@ -96,7 +88,7 @@ def up_sampled(
         sizes = [kept, kept, *sizes]
     functional = functional[:kept, :kept]
     field_x, field_y = pointwise_fields(source, target, functional, growth.fields)
-    field_x, field_y = field_x[order_x.vertices], field_y[queried]
+    field_x, field_y = field_x[source.order.vertices], field_y[queried]
     index = None
     for wanted in sizes:
         current = len(functional)
@@ -117,9 +109,7 @@ def best_grown(
 
     Where the low functions leave a part open, different growths turn it differently; the score tells them apart.
     """
-    orders = VertexOrder.in_space(source.mesh.vertices), VertexOrder.in_space(target.mesh.vertices)
-    samples = spread_samples(target, UP_SAMPLING_QUERIES)
-    grown = [up_sampled(backend, source, target, functional, size, growth, orders, samples) for growth in GROWTHS]
+    grown = [up_sampled(backend, source, target, functional, size, growth) for growth in GROWTHS]
     pair = SamplePair(sampled(source), sampled(target), backend)
     level = pair.fit(Level(len(grown[0]), UP_SAMPLING_QUERIES, UP_SAMPLING_QUERIES))
     cut = np.array([each[: level.size, : level.size] for each in grown], dtype=np.float32)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clalign.maps.sampling import SAMPLES
+from clalign.geometry.shape import SAMPLES
 from clalign.options import Options
 from clalign.refinement.patches import GENERATIONS, GROWN, LIMIT, LOW_REGROWTH, REGROWTH, SETTLING
 from clalign.refinement.zoomout import GROWTHS, UP_SAMPLING_QUERIES

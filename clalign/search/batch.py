@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.engine.backend import Backend, DistortionKind
-from clalign.search.once import once
+from clalign.memoize import memoize
 from clalign.search.sampled import SampledShape
 
 
@@ -64,23 +64,23 @@ class SamplePair:
         )
         return Level(min(level.size, largest), queries, points)
 
-    @once
+    @memoize
     def points(self, count: int, size: int) -> tuple[Any, Any]:
         """Return the first `size` functions at the first `count` samples of X, and their halved squared norms."""
         values = np.ascontiguousarray(self.source.functions[:count, :size])
         return self.backend.array(values), self.backend.array(0.5 * np.sum(values**2, axis=1))
 
-    @once
+    @memoize
     def synthesis(self, count: int, size: int) -> Any:
         """Return the first `size` functions at the first `count` samples of Y."""
         return self.backend.array(np.ascontiguousarray(self.target.functions[:count, :size]))
 
-    @once
+    @memoize
     def analysis(self, count: int, size: int) -> Any:
         """Return the least-squares analysis of Y on the backend; see `SampledShape.analysis`."""
         return self.backend.array(self.target.analysis(count, size))
 
-    @once
+    @memoize
     def distances(self, queries: int, points: int) -> tuple[Any, Any, Any]:
         """Return distances among samples of X, among samples of Y, and the weights of the latter."""
         return (

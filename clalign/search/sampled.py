@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from clalign.geometry.geodesics import prefix_shares
 from clalign.geometry.shape import Shape
-from clalign.search.once import once
+from clalign.memoize import memoize
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +54,12 @@ class SampledShape:
             self.curvatures,
         )
 
-    @once
+    @memoize
     def prefix_weights(self, count: int) -> NDArray[np.float64]:
         """Return the area that falls to each of the first `count` samples, from the cells of all samples."""
         return prefix_shares(self.distances, self.weights, count)
 
-    @once
+    @memoize
     def analysis(self, count: int, size: int) -> NDArray[np.float64]:
         """Return (size, count): coefficients of a function from its values at samples, by weighted least squares."""
         basis = self.functions[:count, :size]

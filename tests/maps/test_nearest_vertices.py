@@ -7,10 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from clalign.engine import Backend, Reference
+from clalign.geometry.sampling import VertexOrder
 from clalign.maps import functional_maps as maps_module
 from clalign.maps import nearest as nearness
 from clalign.maps.functional_maps import PointMaps, nearest_rows, point_maps
-from clalign.maps.nearest import VertexOrder, nearest_in_order
+from clalign.maps.nearest import nearest_in_order
 
 Sides = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -25,14 +26,6 @@ def embedded(rng: np.random.Generator) -> Sides:
     """Of 700 and 433 points near each other in 90 dimensions."""
     target = rng.normal(size=(433, 90))
     return target[rng.integers(0, 433, size=700)] + 0.2 * rng.normal(size=(700, 90)), target
-
-
-def test_neighbours_come_near_each_other(rng: np.random.Generator) -> None:
-    points = rng.random(size=(3000, 3))
-    order = VertexOrder.in_space(points)
-    np.testing.assert_array_equal(order.places[order.vertices], np.arange(3000))
-    steps = np.linalg.norm(np.diff(points[order.vertices], axis=0), axis=1)
-    assert steps.mean() < 0.4 * np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
 
 
 def test_orders_and_guesses_change_no_map(any_backend: Backend, embedded: Sides, rng: np.random.Generator) -> None:

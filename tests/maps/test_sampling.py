@@ -10,18 +10,17 @@ from numpy.typing import NDArray
 from prepared import PreparedPair
 
 from clalign.engine import Reference
+from clalign.geometry.sampling import Samples
 from clalign.geometry.shape import Shape
 from clalign.maps.functional_maps import coherent_directions, orthogonalised, two_way_functional_map
 from clalign.maps.sampling import (
     SampleMaps,
-    Samples,
     coherent_factors,
     coherent_sample_steps,
     nearest_samples,
     quickly_orthogonalised,
     sample_functional_map,
     sampled_basis,
-    spread_samples,
 )
 
 
@@ -39,28 +38,6 @@ def true_maps(pair: PreparedPair, source: Samples, target: Samples) -> SampleMap
     return SampleMaps(pair.truth.target_of_source[source.vertices], pair.truth.source_of_target[target.vertices])
 
 
-def test_samples_are_the_geodesic_ones_where_these_suffice(middle: PreparedPair) -> None:
-    samples = spread_samples(middle.source, 100, pieces=20)
-    np.testing.assert_array_equal(samples.vertices, middle.source.geodesics.samples[:100])
-    np.testing.assert_allclose(samples.weights.sum(), 1.0)
-    # The first samples lie in their own pieces, and every other one in that of the nearest of them.
-    np.testing.assert_array_equal(samples.pieces[:20], np.arange(20))
-    rows = middle.source.geodesics.rows[:20, samples.vertices]
-    np.testing.assert_array_equal(rows[samples.pieces, np.arange(100)], rows.min(axis=0))
-
-
-def test_missing_samples_are_spread_in_space(middle: PreparedPair) -> None:
-    known = middle.source.geodesics.samples.size
-    samples = spread_samples(middle.source, known + 150)
-    np.testing.assert_array_equal(samples.vertices[:known], middle.source.geodesics.samples)
-    assert np.unique(samples.vertices).size == known + 150
-    np.testing.assert_allclose(samples.weights.sum(), 1.0)
-    # Spread evenly: no sample owns much more than its share.
-    assert samples.weights.max() < 6.0 / samples.weights.size
-    everything = spread_samples(middle.source, 10**6)
-    np.testing.assert_array_equal(np.sort(everything.vertices), np.arange(middle.source.mesh.n_vertices))
-
-
 def test_with_all_vertices_the_functional_map_is_that_of_the_full_step(
     middle: PreparedPair, backend: Reference, rng: np.random.Generator
 ) -> None:
@@ -73,7 +50,7 @@ def test_with_all_vertices_the_functional_map_is_that_of_the_full_step(
 
 def test_functions_that_live_between_the_samples_leave_a_finite_map(middle: PreparedPair, backend: Reference) -> None:
     """More functions than samples: the sums over samples cannot tell them apart."""
-    x, y = (sampled_basis(backend, shape.basis, spread_samples(shape, 20, pieces=5)) for shape in middle[:2])
+    x, y = (sampled_basis(backend, shape.basis, shape.samples(20, 5)) for shape in middle[:2])
     few = [dataclasses.replace(basis.samples, vertices=basis.samples.vertices[:12]) for basis in (x, y)]
     x, y = (
         sampled_basis(backend, shape.basis, dataclasses.replace(samples, weights=samples.weights[:12]))
@@ -102,7 +79,7 @@ def test_the_quick_polar_factor_is_the_polar_factor(functional: NDArray[np.float
 
 
 def test_a_shape_is_matched_with_itself(middle: PreparedPair, backend: Reference) -> None:
-    basis = sampled_basis(backend, middle.source.basis, spread_samples(middle.source, 100))
+    basis = sampled_basis(backend, middle.source.basis, middle.source.samples(100))
     maps = nearest_samples(backend, basis, basis, (np.eye(40), np.eye(40)))
     np.testing.assert_array_equal(maps.target_of_source, basis.samples.vertices)
     np.testing.assert_array_equal(maps.source_of_target, basis.samples.vertices)
@@ -110,7 +87,7 @@ def test_a_shape_is_matched_with_itself(middle: PreparedPair, backend: Reference
 
 def test_steps_repair_disturbed_maps(middle: PreparedPair, backend: Reference, rng: np.random.Generator) -> None:
     source, target, _ = middle
-    x, y = (sampled_basis(backend, shape.descriptors, spread_samples(shape)) for shape in (source, target))
+    x, y = (sampled_basis(backend, shape.descriptors, shape.samples()) for shape in (source, target))
     truth = true_maps(middle, x.samples, y.samples)
     lost = rng.random(truth.target_of_source.size) < 0.3
     disturbed = dataclasses.replace(

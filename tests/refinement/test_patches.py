@@ -10,7 +10,7 @@ from prepared import PreparedPair
 from clalign.engine import Reference
 from clalign.geometry.geodesics import all_pairs
 from clalign.maps.functional_maps import functional_map
-from clalign.maps.sampling import SampledBasis, SampleMaps, sampled_basis, spread_samples
+from clalign.maps.sampling import SampledBasis, SampleMaps, sampled_basis
 from clalign.refinement.patches import best_pieces, embedding_residuals, piecewise_maps
 
 PIECES = 12
@@ -23,9 +23,7 @@ def backend() -> Reference:
 
 @pytest.fixture
 def bases(middle: PreparedPair, backend: Reference) -> tuple[SampledBasis, SampledBasis]:
-    source, target = (
-        sampled_basis(backend, shape.descriptors, spread_samples(shape, pieces=PIECES)) for shape in middle[:2]
-    )
+    source, target = (sampled_basis(backend, shape.descriptors, shape.samples(patches=PIECES)) for shape in middle[:2])
     return source, target
 
 
@@ -36,7 +34,7 @@ def wrong_in(
 
     def exchanged(matches: NDArray[np.int64], basis: SampledBasis) -> NDArray[np.int64]:
         changed = matches.copy()
-        inside = np.flatnonzero(np.isin(basis.samples.pieces, pieces))
+        inside = np.flatnonzero(np.isin(basis.samples.patches, pieces))
         changed[inside] = matches[rng.permutation(inside)]
         return changed
 
@@ -57,7 +55,7 @@ def test_every_piece_comes_from_the_candidate_that_is_right_there(
     np.testing.assert_array_equal(best.source_of_target, truth.source_of_target)
     for maps, pieces in zip(candidates, ((0, 3, 4), (1, 2), (5, 6, 7)), strict=True):
         residual, _ = embedding_residuals(*bases, maps)
-        wrong = np.isin(bases[0].samples.pieces, pieces)
+        wrong = np.isin(bases[0].samples.patches, pieces)
         assert residual[wrong].mean() > 3.0 * residual[~wrong].mean()
 
 

@@ -13,7 +13,7 @@ from clalign.engine import Reference
 from clalign.geometry.operators import lumped_mass, orientation_products
 from clalign.geometry.shape import prepare
 from clalign.maps.functional_maps import functional_map
-from clalign.maps.sampling import SampleMaps, sampled_basis, spread_samples
+from clalign.maps.sampling import SampleMaps, sampled_basis
 from clalign.mesh.mesh import mesh_from_arrays
 from clalign.refinement.patches import Orientations, best_pieces
 from clalign.refinement.pointwise import oriented_fields, pointwise_fields
@@ -81,9 +81,7 @@ def test_a_piece_that_is_turned_inside_out_is_seen_and_taken_from_another_map() 
     vertices, faces, mirror, inside = snout()
     shape = prepare(mesh_from_arrays(vertices, faces), MIDDLE)
     backend = Reference()
-    low, high = (
-        sampled_basis(backend, each, spread_samples(shape, 250, 25)) for each in (shape.basis, shape.descriptors)
-    )
+    low, high = (sampled_basis(backend, each, shape.samples(250, 25)) for each in (shape.basis, shape.descriptors))
     orientations = Orientations(low, low, shape.orientation, shape.orientation)
     vertices_of_samples = low.samples.vertices
     exchanged = np.where(inside, mirror, np.arange(len(vertices)))[vertices_of_samples]

@@ -11,14 +11,14 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
-def once(
+def memoize(
     method: Callable[Concatenate[Owner, Arguments], Result],
 ) -> Callable[Concatenate[Owner, Arguments], Result]:
-    """Compute each result of a method of positional, hashable arguments once, and keep it in the object.
+    """Compute each result of a method of hashable arguments once, and keep it in the object.
 
     `functools.lru_cache` keeps the objects themselves, with all that they hold, in a cache of the class.
     """
-    name = f"_once_{method.__name__}"
+    name = f"_memoized_{method.__name__}"
 
     @wraps(method)
     def remembered(self: Owner, *arguments: Arguments.args, **named: Arguments.kwargs) -> Result:
