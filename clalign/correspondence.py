@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 
 from clalign.errors import OptionError, ResultError
 from clalign.geometry.spectra import Spectrum
-from clalign.maps.point_maps import check_map, write_map
+from clalign.maps.point_maps import PointMaps, check_map, write_map
 from clalign.mesh.mesh import Mesh
 from clalign.options import Options
 from clalign.storage import atomic_folder, recover
 
 RESULT_FORMAT = 1
-#: How the warning of a match begins that Ctrl-C has cut short.
-INTERRUPTED = "interrupted: "
+METHOD_VERSION = 1
+"""Counts changes of the method after which the same meshes and options give another map."""
 
 FACTS_FILE = "result.json"
 ARRAYS_FILE = "result.npz"
@@ -37,8 +37,8 @@ _MESH_ARRAYS = ("vertices", "faces", "offset", "file_index")
 _SPECTRA = ("source_basis", "target_basis", "source_descriptors", "target_descriptors")
 
 
-@dataclass(frozen=True)
-class Alternative:
+@dataclass(frozen=True, eq=False)
+class Alternative(PointMaps):
     """A map that the search considered and that differs from the chosen one.
 
     target_of_source : (file_count_x,) int64, in file numbering; -1 where the vertex is not on the surface.
@@ -51,14 +51,12 @@ class Alternative:
         chosen one, as the search had them, in units of sqrt(area).
     """
 
-    target_of_source: NDArray[np.int64]
-    source_of_target: NDArray[np.int64]
     score: float
     orientation: float
     distance: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Correspondence:
     """Dense correspondence between a source mesh X and a target mesh Y.
 
@@ -117,6 +115,9 @@ class Correspondence:
     source_faces: NDArray[np.int64] | None = None
     source_barycentric: NDArray[np.float64] | None = None
     score: float = math.nan
+    xi: float = math.nan
+    status: str = ""
+    method: int = METHOD_VERSION
 
     def __post_init__(self) -> None:
         source, target = self.source, self.target
@@ -145,7 +146,7 @@ class Correspondence:
     @property
     def interrupted(self) -> bool:
         """Whether Ctrl-C cut the match short; `match` returns then, so a loop over many pairs should ask and end."""
-        return any(warning.startswith(INTERRUPTED) for warning in self.warnings)
+        return self.status == "interrupted"
 
     def __repr__(self) -> str:
         source, target = self.source, self.target
@@ -170,6 +171,9 @@ class Correspondence:
             "confidence": finite_or_none(self.confidence),
             "orientation": finite_or_none(self.orientation),
             "score": finite_or_none(self.score),
+            "xi": finite_or_none(self.xi),
+            "status": self.status,
+            "method": self.method,
             "losses": {name: finite_or_none(value) for name, value in self.losses.items()},
             "counts": self._counts(),
             "timings": {name: finite_or_none(value) for name, value in self.timings.items()},
@@ -324,7 +328,7 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         options = Options.from_dict(facts["options"])
     except OptionError as error:
         raise ResultError(str(error)) from error
-    columns = [str(name) for name in arrays["history.columns"]]
+    columns = ["outer_iteration" if name == "round" else str(name) for name in arrays["history.columns"]]
     return Correspondence(
         source=_mesh("source", facts, arrays),
         target=_mesh("target", facts, arrays),
@@ -359,8 +363,11 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         versions=dict(facts["versions"]),
         source_faces=arrays.get("source_faces"),
         source_barycentric=arrays.get("source_barycentric"),
-        # A result of before the score was kept has none.
+        # A result of an earlier version lacks what was not kept then.
         score=_number(facts.get("score")),
+        xi=_number(facts.get("xi")),
+        status=str(facts.get("status", "")),
+        method=int(facts.get("method", 0)),
     )
 
 

@@ -7,19 +7,21 @@ changed with `options.replace({"alignment.weight": 50})`, which is what the comm
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
+import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from clalign.errors import OptionError
+from clalign.option_values import flattened, leaves, replaced, translated
+from clalign.rules import Rules
 
 Metric = Literal["euclidean", "regularized", "power", "heat-kernel", "auto"]
 Weights = Literal["area", "uniform"]
 Band = Literal["half", "full", "diagonal", "none"]
 Orientation = Literal["preserving", "reversing", "any"]
-Readout = Literal["aligned", "functional", "argmax"]
+Readout = Literal["aligned", "argmax"]
 
 SEARCHED_WITH = 3
 """Laplace–Beltrami eigenfunctions without which there is no search."""
@@ -49,6 +51,14 @@ def _not_negative(group: str, options: Any, *names: str) -> None:
         _require(value >= 0 and _finite(value), f"{group}.{name} must not be negative, got {value!r}")
 
 
+def _check_rule(name: str, value: Any) -> None:
+    """Refuse numbers that no rule can have; a least orientation may be negative."""
+    for each in value if isinstance(value, tuple) else (value,):
+        if isinstance(each, int | float):
+            least = -1 if "orientation" in name else 0
+            _require(each >= least and _finite(each), f"{name} must be at least {least}, got {each!r}")
+
+
 def _check_choices(group: str, options: Any) -> None:
     for name, hint in get_type_hints(type(options)).items():
         if get_origin(hint) is Literal:
@@ -74,7 +84,6 @@ class SpectrumOptions:
         smooths every mesh. Sampled surfaces without noise are above 0.3; one whose flat faces were split is near 0.
     clamp : |K| is clamped to its [clamp, 1 - clamp] quantiles before the power, in [0, 0.5).
     epsilon : constant of "regularized", in units of 1/area.
-    solver : "block" (shift-invert block Lanczos, written here) or "arpack" (the reference).
     """
 
     basis: int = 120
@@ -86,7 +95,6 @@ class SpectrumOptions:
     noisy_below: float = 0.3
     clamp: float = 0.02
     epsilon: float = 1.0
-    solver: Literal["block", "arpack"] = "block"
 
     def __post_init__(self) -> None:
         _check_choices("spectrum", self)
@@ -103,31 +111,28 @@ class GeodesicOptions:
 
     factor_samples : N, the farthest-point samples whose rows give the low-rank factors of D (rank N / 2).
     search_samples : farthest-point samples whose mutual distances score the candidates of the search.
-    dense_below : meshes with at most this many vertices may use the dense mode (D and P stored).
     """
 
     factor_samples: int = 100
     search_samples: int = 1000
-    dense_below: int = 1500
 
     def __post_init__(self) -> None:
         for name in ("factor_samples", "search_samples"):
             value = getattr(self, name)
             _require(value >= 2 and _finite(value), f"geodesics.{name} must be at least 2, got {value!r}")
-        _not_negative("geodesics", self, "dense_below")
 
 
 @dataclass(frozen=True)
 class SearchOptions:
     """Search for the isometry that the alignment starts from.
 
-    method : "tree" (oriented unfolding and branching), "signs" (plain sign enumeration) or "random" (R starts as a
-        random ±1 diagonal, as the paper does; no search).
+    method : "tree" (oriented unfolding and branching) or "random" (R starts as a random ±1 diagonal, as the paper does;
+        no search).
     orientation : "preserving" rejects mirrored maps, "reversing" keeps only those, "any" takes the better.
     alternatives : how many of the best different maps are kept in the result beside the chosen one.
     """
 
-    method: Literal["tree", "signs", "random"] = "tree"
+    method: Literal["tree", "random"] = "tree"
     orientation: Orientation = "preserving"
     alternatives: int = 0
 
@@ -147,14 +152,14 @@ class AlignmentOptions:
     cycle : add the cycle term (Eq. 32).
     unitarity : weight of l_uni (Eq. 23) as a penalty; 0 only reports it, as the paper does. A little keeps the scale of
         R, which a differentiated denominator leaves free, at no cost in accuracy.
-    denominator : "frozen" as in the paper, which pays for a smaller R, or "differentiated", which does not.
+    denominator : "fixed" as in the paper, which pays for a smaller R, or "differentiated", which does not.
     weights : "area" or the paper's "uniform" weights in the soft map and the losses.
-    distances : "factors" (low rank) or "dense" (small meshes only).
     samples : farthest-point samples of the source on which the losses are evaluated (0: all vertices). All vertices are
         taken too, whatever the number, where the geodesic samples (`geodesics.search_samples`) are all vertices.
-    rounds, iterations : at most so many rounds, each of at most so many L-BFGS evaluations.
-    decay : λ is multiplied by this after every round.
-    tolerance : a round ends when a step lowers the objective by less, relatively.
+    outer_iterations, iterations : at most so many times the correspondence is fixed anew, each followed by at most so
+        many L-BFGS evaluations.
+    decay : λ is multiplied by this after every outer iteration.
+    tolerance : an outer iteration ends when a step lowers the objective by less, relatively.
     """
 
     weight: float = 200.0
@@ -164,11 +169,10 @@ class AlignmentOptions:
     sides: Literal["both", "one"] = "both"
     cycle: bool = False
     unitarity: float = 30.0
-    denominator: Literal["frozen", "differentiated"] = "differentiated"
+    denominator: Literal["fixed", "differentiated"] = "differentiated"
     weights: Weights = "area"
-    distances: Literal["factors", "dense"] = "factors"
     samples: int = 1000
-    rounds: int = 3
+    outer_iterations: int = 3
     iterations: int = 12
     decay: float = 0.2
     tolerance: float = 1e-5
@@ -176,24 +180,24 @@ class AlignmentOptions:
     def __post_init__(self) -> None:
         _check_choices("alignment", self)
         _positive("alignment", self, "band_slope", "decay", "tolerance")
-        _not_negative("alignment", self, "weight", "band_offset", "unitarity", "samples", "rounds", "iterations")
+        _not_negative(
+            "alignment", self, "weight", "band_offset", "unitarity", "samples", "outer_iterations", "iterations"
+        )
 
 
 @dataclass(frozen=True)
 class ReadoutOptions:
     """From aligned eigenfunctions to vertices.
 
-    readout : "aligned" (nearest neighbour among aligned eigenfunctions), "functional" (nearest neighbour of C phi
-        among the psi) or "argmax" (Eq. 28).
-    refine : between search and alignment: spectral up-sampling in several ways, of which every piece of the surface
-        takes the best ("pieces"), the best one as a whole ("upsample"), that with wavelet filters ("wavelet"), or
-        "none".
-    steps : two-way steps in the scale-invariant basis after the alignment, and before it unless `refine` is "pieces".
+    readout : "aligned" (nearest neighbour among aligned eigenfunctions) or "argmax" (Eq. 28).
+    refine : between search and alignment: ZoomOut by several schedules, of which every patch of the surface takes the
+        best ("patches"), the best one as a whole ("zoomout"), or "none".
+    steps : two-way steps in the scale-invariant basis after the alignment, and before it unless `refine` is "patches".
     subvertex : also give every match as a point in a face.
     """
 
     readout: Readout = "aligned"
-    refine: Literal["none", "upsample", "wavelet", "pieces"] = "pieces"
+    refine: Literal["none", "zoomout", "patches"] = "patches"
     steps: int = 2
     subvertex: bool = False
 
@@ -224,7 +228,10 @@ class EngineOptions:
 
 @dataclass(frozen=True)
 class Options:
-    """All groups together. See each group for its values; `seed` fixes everything that is drawn."""
+    """All groups together. See each group for its values; `seed` fixes everything that is drawn.
+
+    rules : numbers inside the method that no user needs to know; see `clalign.rules`.
+    """
 
     spectrum: SpectrumOptions = field(default_factory=SpectrumOptions)
     geodesics: GeodesicOptions = field(default_factory=GeodesicOptions)
@@ -232,6 +239,7 @@ class Options:
     alignment: AlignmentOptions = field(default_factory=AlignmentOptions)
     readout: ReadoutOptions = field(default_factory=ReadoutOptions)
     engine: EngineOptions = field(default_factory=EngineOptions)
+    rules: Rules = field(default_factory=Rules)
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -243,6 +251,8 @@ class Options:
             "orientation of a map is told by two eigenfunctions beside the constant one (search.method=random makes no "
             "search)",
         )
+        for name, _ in leaves(self.rules, "rules."):
+            _check_rule(name, operator.attrgetter(name)(self))
 
     @staticmethod
     def preset(name: str) -> Options:
@@ -262,28 +272,15 @@ class Options:
 
         Parameters
         ----------
-        changes : mapping from "group.name" (or "seed") to a value; text is converted to the value's type.
+        changes : mapping from "group.name" ("rules.group.name", "seed") to a value; text is converted to the value's
+            type. Names of the release before are translated, with a warning.
 
         Raises
         ------
         OptionError
             Unknown name, or a value that cannot be converted or lies outside its range.
         """
-        groups: dict[str, dict[str, Any]] = {}
-        top: dict[str, Any] = {}
-        for key, value in changes.items():
-            group_name, _, name = key.partition(".")
-            if not name:
-                top[key] = _converted(self, key, key, value)
-                continue
-            group = getattr(self, group_name, None)
-            if not dataclasses.is_dataclass(group):
-                ways = _meant(key) or f"there are {_group_names()}"
-                raise OptionError(f"unknown option group {group_name!r} in {key!r}; {ways}")
-            groups.setdefault(group_name, {})[name] = _converted(group, name, key, value)
-        for group_name, values in groups.items():
-            top[group_name] = dataclasses.replace(getattr(self, group_name), **values)
-        return dataclasses.replace(self, **top)
+        return replaced(self, translated(changes, warn=True))
 
     def as_dict(self) -> dict[str, Any]:
         """Return nested plain values, as written to ``result.json``."""
@@ -291,54 +288,8 @@ class Options:
 
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> Options:
-        """Inverse of `as_dict`; unknown names raise `OptionError`."""
-        flat: dict[str, Any] = {}
-        for key, value in values.items():
-            if isinstance(value, Mapping):
-                flat.update({f"{key}.{name}": inner for name, inner in value.items()})
-            else:
-                flat[key] = value
-        return Options().replace(flat)
-
-
-def _group_names() -> str:
-    return ", ".join(f.name for f in dataclasses.fields(Options) if f.name != "seed")
-
-
-def _meant(key: str) -> str:
-    """Return a question after the options of that name in any group, else after the most alike one; "" for none."""
-    values = dataclasses.asdict(Options())
-    known = [f"{group}.{name}" for group, inner in values.items() if isinstance(inner, dict) for name in inner]
-    group, _, name = key.rpartition(".")
-    same = [option for option in known if option.partition(".")[2] == name]
-    inner = values.get(group)
-    if isinstance(inner, dict):
-        found = same or [f"{group}.{near}" for near in difflib.get_close_matches(name, inner, 1)]
-    else:
-        found = same or difflib.get_close_matches(key, known, 1, 0.75)
-    return f"did you mean {' or '.join(found)}?" if found else ""
-
-
-def _converted(group: Any, name: str, key: str, value: Any) -> Any:
-    names = [f.name for f in dataclasses.fields(group)]
-    current = getattr(group, name, None)
-    if name not in names or dataclasses.is_dataclass(current):
-        raise OptionError(f"unknown option {key!r}; {_meant(key) or 'there are ' + ', '.join(names)}")
-    kind: type[Any] = type(current)
-    if kind is bool and isinstance(value, str):
-        words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-        if value.lower() not in words:
-            raise OptionError(f"{key} must be true or false, got {value!r}")
-        return words[value.lower()]
-    if kind is bool and not isinstance(value, bool):
-        raise OptionError(f"{key} must be true or false, got {value!r}")
-    try:
-        converted = kind(value)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise OptionError(f"{key} must be {kind.__name__}, got {value!r}") from error
-    if kind is int and not isinstance(value, str) and converted != value:
-        raise OptionError(f"{key} must be a whole number, got {value!r}")
-    return converted
+        """Inverse of `as_dict`; unknown names raise `OptionError`, those of the release before are translated."""
+        return replaced(Options(), translated(flattened(values), warn=False))
 
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -346,7 +297,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "fast": {
         "spectrum.descriptors": 200,
         "geodesics.search_samples": 500,
-        "alignment.rounds": 0,
+        "alignment.outer_iterations": 0,
         "readout.steps": 2,
     },
     "paper": {
@@ -354,11 +305,11 @@ PRESETS: dict[str, dict[str, Any]] = {
         "spectrum.smoothing": 0.0,
         "search.method": "random",
         "alignment.weights": "uniform",
-        "alignment.denominator": "frozen",
+        "alignment.denominator": "fixed",
         "alignment.unitarity": 0.0,
         "alignment.decay": 1.0,
         "alignment.samples": 0,
-        "alignment.rounds": 20,
+        "alignment.outer_iterations": 20,
         "alignment.iterations": 50,
         "readout.refine": "none",
         "readout.steps": 0,

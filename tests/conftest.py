@@ -120,11 +120,11 @@ def kernels() -> Backend:
 
 @pytest.fixture(scope="session")
 def bind_small(small: PreparedPair) -> Callable[..., Bound]:
-    """``bind_small(changes, backend=None)``: the small pair bound with some options changed."""
+    """``bind_small(changes, backend=None, dense=False)``: the small pair bound with some options changed."""
     import prepared
 
-    def make(changes: dict[str, Any] | None = None, backend: Backend | None = None) -> Bound:
-        return prepared.bound(small, prepared.SMALL.replace(changes or {}), backend)
+    def make(changes: dict[str, Any] | None = None, backend: Backend | None = None, *, dense: bool = False) -> Bound:
+        return prepared.bound(small, prepared.SMALL.replace(changes or {}), backend, dense=dense)
 
     return make
 

@@ -6,18 +6,21 @@ from typing import NamedTuple
 
 import numpy as np
 import shapes
+from dense_losses import DenseTerms, dense_distances
 from numpy.typing import NDArray
 from shapes import Pair
 
 from clalign.alignment.band import funnel_band
-from clalign.alignment.objective import AlignmentProblem
+from clalign.alignment.objective import Objective
+from clalign.alignment.rotation import least_squares_start
 from clalign.engine import Backend, Reference
 from clalign.geometry.shape import Shape, prepare
-from clalign.maps.functional_maps import PointMaps
+from clalign.geometry.spectra import Spectrum
+from clalign.maps.functional_maps import MatchedRows, functional_map
+from clalign.maps.point_maps import PointMaps
 from clalign.matching.stages import bind
 from clalign.mesh.mesh import mesh_from_arrays
 from clalign.options import Options
-from clalign.refinement.zoomout import closed_form_rotation
 
 #: Enough functions and samples for shapes of 162 or 642 vertices.
 SMALL = Options().replace(
@@ -67,21 +70,36 @@ def tiny_pair(angle: float = 0.2) -> Pair:
     )
 
 
+def true_functional_map(
+    source: Spectrum, target: Spectrum, source_of_target: NDArray[np.int64], size: int | None = None
+) -> NDArray[np.float64]:
+    """Return the functional map of a point map of all vertices, one way."""
+    pulled = source.functions[source_of_target, :size]
+    return functional_map([MatchedRows(target.functions[:, :size], pulled, target.mass)])
+
+
 class Bound(NamedTuple):
     """A problem and the rotation that its true maps give."""
 
-    problem: AlignmentProblem
+    problem: Objective
     rotation: NDArray[np.float64]
     truth: PointMaps
 
 
-def bound(pair: PreparedPair, options: Options, backend: Backend | None = None) -> Bound:
-    """Bind a prepared pair, its signs and its first R taken from the true maps."""
+def bound(pair: PreparedPair, options: Options, backend: Backend | None = None, *, dense: bool = False) -> Bound:
+    """Bind a prepared pair, its signs and its first R taken from the true maps.
+
+    dense : evaluate Eq. 22 and 31 literally.
+    """
     source, target, truth = pair
     chosen = Reference() if backend is None else backend
     count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
     band = funnel_band(count, options.alignment)
     one_sided = options.alignment.sides == "one"
-    start = closed_form_rotation(Reference(), source.descriptors, target.descriptors, truth, band, one_sided)
+    start = least_squares_start(source.descriptors, target.descriptors, truth, band, Reference(), one_sided=one_sided)
     descriptors = source.descriptors.head(count, start.signs), target.descriptors.head(count)
-    return Bound(bind(source, target, descriptors, band, chosen, options), start.rotation, truth)
+    objective = bind(source, target, descriptors, chosen, options)
+    if dense:
+        x, y, factors = objective.source, objective.target, objective.factors
+        objective.distances = DenseTerms(x, y, factors, dense_distances(source, target), chosen)
+    return Bound(objective, start.rotation, truth)

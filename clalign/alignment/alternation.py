@@ -1,23 +1,50 @@
-"""The alternation of the paper, made smooth: L-BFGS rounds with the hard map frozen inside a round."""
+"""The alternation of the paper, made smooth: outer iterations of L-BFGS with the hard map fixed inside each.
+
+Inside an outer iteration the hard map, the denominator of l_align and λ are fixed, so that value and gradient agree and
+L-BFGS works; between them they are renewed. λ falls by a factor each time: l_unsup is not least at the true map, since
+the soft map is soft, and a large λ drags a good map away from it. An iteration that does not lower the renewed
+objective ends the run and is undone.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.alignment.lbfgs import Status, minimise
-from clalign.alignment.objective import AlignmentProblem, Evaluation, Round
-from clalign.ctrl_c import plain_interrupts
-from clalign.maps.functional_maps import PointMaps, argmax_map, both_directions, matched, nearest_rows
-from clalign.maps.nearest import in_order
+from clalign.alignment.losses import FixedCorrespondence
+from clalign.alignment.objective import Evaluation, Objective
+from clalign.alignment.readout import hard_map, read_out
+from clalign.maps.point_maps import PointMaps
 from clalign.options import Readout
 
 LOG = logging.getLogger(__name__)
+
+Watch = Callable[[int, Evaluation], None]
+
+
+@dataclass(frozen=True)
+class AlignmentState:
+    """What an outer iteration begins with.
+
+    Attributes
+    ----------
+    rotation : (d, d) R, zero outside the funnel.
+    fixed : the correspondence of R, and λ.
+    history : for every evaluation "outer_iteration", "evaluation", "total" and each term.
+    status : why the last iteration ended.
+    ended : there is no other iteration.
+    """
+
+    rotation: NDArray[np.float64]
+    fixed: FixedCorrespondence
+    history: tuple[dict[str, float], ...] = ()
+    status: Status = "budget"
+    ended: bool = False
 
 
 @dataclass(frozen=True)
@@ -28,7 +55,7 @@ class AlignedRotation:
     ----------
     rotation : (d, d) R, zero outside the funnel.
     maps : point maps read out from it.
-    history : for every evaluation "round", "evaluation", "total" and each term.
+    history : see `AlignmentState`.
     losses : terms at the result, with its own hard map.
     status : why it ended.
     """
@@ -40,153 +67,77 @@ class AlignedRotation:
     status: Status
 
 
-def hard_map(
-    problem: AlignmentProblem,
-    rotation: NDArray[np.float64],
-    readout: Readout,
-    guess: NDArray[np.int64] | None = None,
-) -> NDArray[np.int64]:
-    """Return target_of_source (n_x,) of R: nearest neighbours ("aligned", "functional") or Eq. 28 ("argmax").
-
-    A map that is nearly right, as `guess`, saves time and does not change the result.
-    """
-    source, target, backend = problem.source, problem.target, problem.backend
-    if readout == "aligned":
-        turned = _in_order(problem, rotation)
-        return matched(backend, *turned, problem.orders, guess)
-    functional = problem.functional_map(rotation)
-    if readout == "functional":
-        return nearest_rows(backend, source.basis, target.basis @ functional)
-    return argmax_map(backend, functional, source.basis, target.basis, target.soft_weights)
-
-
-def _in_order(problem: AlignmentProblem, rotation: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Return the embeddings of R with their rows in the orders of the problem."""
-    source, target = problem.embeddings(rotation)
-    return in_order(problem.backend, source, problem.orders[0]), in_order(problem.backend, target, problem.orders[1])
-
-
-def read_out(
-    problem: AlignmentProblem,
-    rotation: NDArray[np.float64],
-    readout: Readout,
-    target_of_source: NDArray[np.int64] | None = None,
-    guess: PointMaps | None = None,
-) -> PointMaps:
-    """Return both maps of R; `target_of_source` is taken as it is where it is known already, `guess` saves time.
-
-    The reverse of Eq. 28, which the paper does not define, is the nearest neighbour in functional-map space.
-    """
-    source, target, backend = problem.source, problem.target, problem.backend
-    forward, (guess_there, guess_back) = target_of_source, both_directions(guess)
-    if forward is None:
-        forward = hard_map(problem, rotation, readout, guess_there)
-    if readout == "aligned":
-        turned = _in_order(problem, rotation)
-        return PointMaps(forward, matched(backend, *turned[::-1], problem.orders[::-1], guess_back))
-    pulled = target.basis @ problem.functional_map(rotation)
-    return PointMaps(forward, nearest_rows(backend, pulled, source.basis))
-
-
-def optimise_rotation(
-    problem: AlignmentProblem,
+def outer_iterations(
+    objective: Objective,
     start: NDArray[np.float64],
     readout: Readout,
-    progress: Callable[[int, Evaluation], None] | None = None,
+    watch: Watch | None = None,
     guess: PointMaps | None = None,
-) -> AlignedRotation:
-    """Minimise the objective over the band entries of R in rounds.
-
-    Inside a round the hard map, the denominator of l_align and λ are frozen, so that value and gradient agree and
-    L-BFGS works; between rounds they are refreshed. λ falls by the factor `decay` a round: l_unsup is not least at the
-    true map, since the soft map is soft, and a large λ drags a good map away from it. A round that does not lower the
-    refreshed objective ends the run and is undone.
+) -> Iterator[AlignmentState]:
+    """Minimise the objective over the band entries of R; yields the start and the state after every outer iteration.
 
     Parameters
     ----------
     start : (d, d), restricted to the funnel.
-    progress : called after every evaluation with the round.
+    watch : called after every evaluation with the number of the iteration.
     guess : maps near those of `start`, which save time and do not change the result.
     """
-    options = problem.options
-    rotation = start
-    frozen = problem.start_round(start, hard_map(problem, start, readout, both_directions(guess)[0]), options.weight)
-    history: list[dict[str, float]] = []
-    status: Status = "budget"
-    for number in range(options.rounds):
-        try:
-            ended = _round(problem, rotation, frozen, readout, _recorded(number, history, progress))
-        except KeyboardInterrupt:
-            # Between the evaluations of a round nothing better is at hand than the round before.
-            status = "interrupted"
-            break
-        LOG.info("round %d: %.6g -> %.6g (%s)", number, ended.before, ended.after, ended.status)
-        status = ended.status
-        if not ended.after < ended.before:
-            status = status if status in ("interrupted", "failed") else "converged"
-            break
-        rotation, frozen = ended.rotation, ended.frozen
-        if status in ("interrupted", "failed"):
-            break
-        if number + 1 < options.rounds:
-            frozen = replace(frozen, weight=frozen.weight * options.decay)
-
-    @plain_interrupts()
-    def finished() -> AlignedRotation:
-        last = problem.value_and_gradient(problem.pack(rotation), frozen)
-        maps = read_out(problem, rotation, readout, frozen.target_of_source, guess)
-        return AlignedRotation(rotation, maps, tuple(history), {"total": last.total, **last.terms}, status)
-
-    try:
-        return finished()
-    except KeyboardInterrupt:
-        # It is short, and without it the rounds would be lost.
-        return replace(finished(), status="interrupted")
+    options = objective.options
+    known = None if guess is None else guess.target_of_source
+    state = AlignmentState(start, objective.fix(start, hard_map(objective, start, readout, known), options.weight))
+    yield state
+    for number in range(options.outer_iterations):
+        state = _outer_iteration(objective, state, readout, number, watch)
+        yield state
+        if state.ended:
+            return
+        if number + 1 < options.outer_iterations:
+            state = replace(state, fixed=replace(state.fixed, weight=state.fixed.weight * options.decay))
 
 
-@dataclass(frozen=True)
-class _Ended:
-    """What a round came to: R, what it froze for the next, and the objective before and after with its own hard map."""
+def _outer_iteration(
+    objective: Objective, state: AlignmentState, readout: Readout, number: int, watch: Watch | None
+) -> AlignmentState:
+    """Return the state after one outer iteration: a lower one, or the same one, ended."""
+    start, fixed, history = objective.pack(state.rotation), state.fixed, list(state.history)
+    before = objective.value_and_gradient(start, fixed)
 
-    rotation: NDArray[np.float64]
-    frozen: Round
-    before: float
-    after: float
-    status: Status
-
-
-@plain_interrupts()
-def _round(
-    problem: AlignmentProblem,
-    rotation: NDArray[np.float64],
-    frozen: Round,
-    readout: Readout,
-    record: Callable[[Evaluation], None],
-) -> _Ended:
-    start = problem.pack(rotation)
-    before = problem.value_and_gradient(start, frozen)
-
-    def objective(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def evaluate(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         # L-BFGS begins at the point that is known already.
-        evaluation = before if np.array_equal(x, start) else problem.value_and_gradient(x, frozen)
-        record(evaluation)
-        return evaluation.total, evaluation.gradient
+        found = before if np.array_equal(x, start) else objective.value_and_gradient(x, fixed)
+        history.append({"outer_iteration": number, "evaluation": len(history), "total": found.total, **found.terms})
+        if watch is not None:
+            watch(number, found)
+        return found.total, found.gradient
 
-    options = problem.options
-    minimum = minimise(objective, start, options.iterations, options.tolerance)
-    candidate = problem.unpack(minimum.x)
-    map_there = hard_map(problem, candidate, readout, frozen.target_of_source)
-    refreshed = problem.start_round(candidate, map_there, frozen.weight)
-    after = problem.value_and_gradient(problem.pack(candidate), refreshed)
-    return _Ended(candidate, refreshed, before.total, after.total, minimum.status)
+    options = objective.options
+    minimum = minimise(evaluate, start, options.iterations, options.tolerance, objective.rules.memory)
+    rotation = objective.unpack(minimum.x)
+    renewed = objective.fix(rotation, hard_map(objective, rotation, readout, fixed.target_of_source), fixed.weight)
+    after = objective.value_and_gradient(objective.pack(rotation), renewed)
+    LOG.info("outer iteration %d: %.6g -> %.6g (%s)", number, before.total, after.total, minimum.status)
+    if not after.total < before.total:
+        status: Status = "failed" if minimum.status == "failed" else "converged"
+        return replace(state, history=tuple(history), status=status, ended=True)
+    return AlignmentState(rotation, renewed, tuple(history), minimum.status, minimum.status == "failed")
 
 
-def _recorded(
-    number: int, history: list[dict[str, float]], progress: Callable[[int, Evaluation], None] | None
-) -> Callable[[Evaluation], None]:
-    def record(evaluation: Evaluation) -> None:
-        history.append({"round": number, "evaluation": len(history), "total": evaluation.total, **evaluation.terms})
-        if progress is not None:
-            progress(number, evaluation)
+def finished(
+    objective: Objective, state: AlignmentState, readout: Readout, guess: PointMaps | None = None
+) -> AlignedRotation:
+    """Return the outcome of a state: its losses and its maps; `guess` saves time."""
+    last = objective.value_and_gradient(objective.pack(state.rotation), state.fixed)
+    maps = read_out(objective, state.rotation, readout, state.fixed.target_of_source, guess)
+    return AlignedRotation(state.rotation, maps, state.history, {"total": last.total, **last.terms}, state.status)
 
-    return record
+
+def optimised_rotation(
+    objective: Objective,
+    start: NDArray[np.float64],
+    readout: Readout,
+    watch: Watch | None = None,
+    guess: PointMaps | None = None,
+) -> AlignedRotation:
+    """Run all outer iterations; see `outer_iterations`."""
+    *_, state = outer_iterations(objective, start, readout, watch, guess)
+    return finished(objective, state, readout, guess)

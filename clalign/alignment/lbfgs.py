@@ -11,12 +11,9 @@ import nlopt
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.ctrl_c import is_interrupt
-
 LOG = logging.getLogger(__name__)
 
-Status = Literal["converged", "noise floor", "budget", "interrupted", "failed"]
-VECTOR_STORAGE = 50
+Status = Literal["converged", "noise floor", "budget", "failed"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +26,7 @@ class Minimum:
     value : objective there.
     evaluations : number of evaluations made.
     status : "converged" (tolerance reached), "noise floor" (no further descent possible at the objective's precision),
-        "budget" (evaluations used up), "interrupted" (Ctrl-C), "failed" (no finite value was seen).
+        "budget" (evaluations used up), "failed" (no finite value was seen).
     """
 
     x: NDArray[np.float64]
@@ -93,6 +90,7 @@ def minimise(
     start: NDArray[np.float64],
     evaluations: int,
     relative_tolerance: float = 1e-5,
+    memory: int = 50,
 ) -> Minimum:
     """Minimise a smooth function from `start` with limited-memory BFGS (nlopt ``LD_LBFGS``).
 
@@ -102,11 +100,9 @@ def minimise(
     evaluations : budget; one line search may exceed it by a few.
     relative_tolerance : stop when a step lowers the value by less; values below 1e-5 make a single-precision
         objective end at its noise floor instead.
+    memory : steps that the approximation of the Hessian remembers.
 
-    Returns
-    -------
-    Minimum
-        Ctrl-C keeps the best point so far. Any other exception of the objective is passed on.
+    Whatever the objective raises is passed on.
     """
     begin = np.asarray(start, dtype=np.float64)
     if evaluations <= 0 or begin.size == 0:
@@ -115,21 +111,17 @@ def minimise(
     optimiser = nlopt.opt(nlopt.LD_LBFGS, begin.size)
     recorder = _Recorder(objective, begin, optimiser.force_stop)
     optimiser.set_exceptions_enabled(False)
-    optimiser.set_vector_storage(max(1, min(VECTOR_STORAGE, evaluations)))
+    optimiser.set_vector_storage(max(1, min(memory, evaluations)))
     optimiser.set_min_objective(recorder)
     optimiser.set_maxeval(evaluations)
     optimiser.set_ftol_rel(relative_tolerance)
     try:
         optimiser.optimize(recorder.best)
-    except BaseException as error:
-        if not is_interrupt(error):
-            raise
-        recorder.error = recorder.error or error
     finally:
         recorder.release()
-    if recorder.error is not None and not is_interrupt(recorder.error):
+    if recorder.error is not None:
         raise recorder.error
-    status = "interrupted" if recorder.error else _status(optimiser.last_optimize_result(), recorder)
+    status = _status(optimiser.last_optimize_result(), recorder)
     LOG.debug("L-BFGS: %s after %d evaluations at %.6g", status, recorder.evaluations, recorder.value)
     return Minimum(recorder.best, recorder.value, recorder.evaluations, status)
 

@@ -10,25 +10,28 @@ import numpy as np
 from clalign.alignment.band import band_mask
 from clalign.engine.backend import Backend, Band
 from clalign.geometry.shape import Shape, with_descriptors
-from clalign.maps.functional_maps import PointMaps, two_way_functional_map
+from clalign.maps.functional_maps import two_way_functional_map
+from clalign.maps.point_maps import PointMaps
 from clalign.options import SpectrumOptions
+from clalign.rules import AlignmentRules
 
 LOG = logging.getLogger(__name__)
 
-EXPONENTS = (0.5, 0.3, 0.15)
-"""From the most to the least scale-invariant; outside this range the error grew on every pair tried."""
-LEAST_SINGULAR_VALUE = 0.6
-QUANTILE = 0.1
-
 
 def choose_metric(
-    backend: Backend, source: Shape, target: Shape, maps: PointMaps, band: Band, options: SpectrumOptions
+    source: Shape,
+    target: Shape,
+    maps: PointMaps,
+    band: Band,
+    options: SpectrumOptions,
+    rules: AlignmentRules,
+    backend: Backend,
 ) -> tuple[Shape, Shape, float]:
     """Return both shapes with the descriptors of the chosen ξ, and ξ.
 
     The more scale-invariant the metric, the better fine detail is told apart, and the less the eigenfunctions of two
     shapes that are not isometric span the same spaces. How much they do shows in the singular values of C̃ inside the
-    funnel: the largest ξ is taken whose 10 % singular value is at least 0.6, the smallest if there is none.
+    funnel: the largest ξ is taken whose low quantile of them is large enough, the smallest if there is none.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ def choose_metric(
     maps : a good map, from the LBO basis.
     band : the funnel.
     """
-    for exponent in EXPONENTS:
+    for exponent in rules.exponents:
         chosen = replace(options, metric="power", xi=exponent)
         if exponent == options.xi:
             pair = source, target
@@ -46,10 +49,10 @@ def choose_metric(
                 with_descriptors(target, chosen, smoothing=target.smoothing),
             )
         size = min(band.size, pair[0].descriptors.count, pair[1].descriptors.count)
-        functional = two_way_functional_map(backend, pair[0].descriptors, pair[1].descriptors, maps, size)
+        functional = two_way_functional_map(pair[0].descriptors, pair[1].descriptors, maps, size, backend)
         values = np.linalg.svd(functional * band_mask(band)[:size, :size], compute_uv=False)
-        quality = float(np.quantile(values, QUANTILE))
-        LOG.info("xi = %g: 10 %% singular value %.3f", exponent, quality)
-        if quality >= LEAST_SINGULAR_VALUE:
+        quality = float(np.quantile(values, rules.quantile))
+        LOG.info("xi = %g: singular value %.3f", exponent, quality)
+        if quality >= rules.least_singular_value:
             break
     return *pair, exponent

@@ -13,7 +13,7 @@ from clalign.options import AlignmentOptions
 
 
 @dataclass(frozen=True)
-class AlignedSide:
+class ShapeData:
     """One shape as the alignment problem sees it.
 
     Attributes
@@ -57,14 +57,12 @@ class SampledFactors:
     core: NDArray[np.float64]
 
 
-def aligned_side(
-    shape: Shape, basis_size: int, descriptors: NDArray[np.float64], options: AlignmentOptions
-) -> AlignedSide:
-    """Return the view of `shape` with its first `basis_size` LBO functions and the given descriptors (n, d)."""
+def shape_data(shape: Shape, basis_size: int, descriptors: NDArray[np.float64], options: AlignmentOptions) -> ShapeData:
+    """Return the data of `shape` with its first `basis_size` LBO functions and the given descriptors (n, d)."""
     basis = np.ascontiguousarray(shape.basis.functions[:, :basis_size])
     count = len(basis)
     uniform = options.weights == "uniform"
-    return AlignedSide(
+    return ShapeData(
         basis=basis,
         descriptors=descriptors,
         projection=basis.T @ (shape.mass[:, None] * descriptors),
@@ -77,12 +75,16 @@ def aligned_side(
     )
 
 
-def sampled_factors(shape: Shape, options: AlignmentOptions) -> SampledFactors:
+def sampled_factors(shape: Shape, options: AlignmentOptions, patches: int) -> SampledFactors:
     """Return the distance factors at the vertices of the losses.
 
     All vertices when `options.samples` is 0 or not less than their number, or, whatever it is, when the geodesic
     samples are all vertices. Else farthest-point samples, weighted by the areas of their cells: they depend
     on the surface alone, not on how its vertices are numbered.
+
+    Parameters
+    ----------
+    patches : that samples are told apart by elsewhere in a match, so that they are made once.
     """
     count = shape.mesh.n_vertices
     available = shape.geodesics.samples.size
@@ -90,7 +92,7 @@ def sampled_factors(shape: Shape, options: AlignmentOptions) -> SampledFactors:
         vertices = np.arange(count)
         weights = np.full(count, 1.0 / count) if options.weights == "uniform" else shape.mass
     else:
-        spread = shape.samples(options.samples)
+        spread = shape.samples(options.samples, patches)
         vertices, weights = spread.vertices, spread.weights
     left = shape.factors.left[vertices]
     gram = left.T @ (weights[:, None] * left)

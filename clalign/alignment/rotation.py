@@ -8,7 +8,11 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from clalign.maps.functional_maps import orthogonalised
+from clalign.alignment.band import band_mask
+from clalign.engine.backend import Backend, Band
+from clalign.geometry.spectra import Spectrum
+from clalign.maps.functional_maps import polar_factor, two_way_functional_map
+from clalign.maps.point_maps import PointMaps
 
 
 @dataclass(frozen=True)
@@ -17,7 +21,7 @@ class StartingRotation:
 
     Attributes
     ----------
-    signs : (d,) ±1, to be multiplied into the columns of the source's eigenfunctions.
+    signs : (d,) ±1, absorbed into the columns of the source's eigenfunctions.
     rotation : (d, d), R with (Φ̃ diag(signs)) R ≈ Ψ̃_π Rᵀ; one-sided: C̃ with (Φ̃ diag(signs)) C̃ ≈ Ψ̃_π.
     """
 
@@ -40,15 +44,28 @@ def starting_rotation(
     mask : (d, d) the funnel.
     one_sided : return C̃ itself (Eq. 18) instead of its square root (Eq. 19).
     """
-    rotation = orthogonalised(functional * mask).T
+    rotation = polar_factor(functional * mask).T
     diagonal = np.diagonal(rotation)
     signs = np.where(diagonal < 0, -1.0, 1.0)
     if np.linalg.det(rotation * signs[:, None]) < 0:
         signs[np.argmin(np.abs(diagonal))] *= -1.0
-    folded = signs[:, None] * rotation
+    absorbed = signs[:, None] * rotation
     if one_sided:
-        return StartingRotation(signs, folded * mask)
-    return StartingRotation(signs, orthogonal_square_root(folded) * mask)
+        return StartingRotation(signs, absorbed * mask)
+    return StartingRotation(signs, orthogonal_square_root(absorbed) * mask)
+
+
+def least_squares_start(
+    source: Spectrum, target: Spectrum, maps: PointMaps, band: Band, backend: Backend, *, one_sided: bool
+) -> StartingRotation:
+    """Return the R that explains `maps` best, by two-way least squares, projection and square root (no losses).
+
+    Parameters
+    ----------
+    source, target : scale-invariant eigenfunctions, at least as many as `band` has rows.
+    """
+    functional = two_way_functional_map(source, target, maps, band.size, backend)
+    return starting_rotation(functional, band_mask(band), one_sided=one_sided)
 
 
 def random_rotation(size: int, seed: int) -> NDArray[np.float64]:

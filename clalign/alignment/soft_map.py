@@ -1,7 +1,7 @@
 """The two ways to evaluate the soft map P of Eq. 27, Z = PᵀU and its gradient, and which of them is cheaper.
 
 Both compute the same numbers where `normal` is ψᵀ diag(w) ψ (None: the identity, with ψ orthonormal in w), apart from
-rounding: the quadratic form sums over all vertices of the side beforehand, into packed moments, the streamed form in
+rounding: moments are summed over all vertices of the side beforehand, into packed moments, the streamed form in
 every evaluation.
 """
 
@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from clalign.alignment.problem_data import AlignedSide
+from clalign.alignment.problem_data import ShapeData
 from clalign.engine.backend import Backend
 
 
 @dataclass(frozen=True)
-class QuadraticForm:
+class MomentsSoftMap:
     """P through moments: z_jr = c_j M_r c_jᵀ / s_j.
 
     Attributes
@@ -37,7 +37,7 @@ class QuadraticForm:
 
 
 @dataclass(frozen=True)
-class StreamedForm:
+class StreamedSoftMap:
     """P from tiles of q_ij = ψ_i·c_j: z_jr = Σ_i w_i q_ij² u_ir / s_j.
 
     Attributes
@@ -58,11 +58,11 @@ class StreamedForm:
         return backend.soft_map_streamed_gradient(carried, self.basis, self.weights, self.left, z, s, dz)
 
 
-SoftForm: TypeAlias = QuadraticForm | StreamedForm
+SoftMap: TypeAlias = MomentsSoftMap | StreamedSoftMap
 
 
 def evaluation_cost(rows: int, vertices: int, functions: int, rank: int) -> tuple[int, int]:
-    """Return the multiply-adds of value and gradient of one soft map, by the quadratic and by the streamed form.
+    """Return the multiply-adds of value and gradient of one soft map, by the moments and by the streamed form.
 
     Both run at about the same rate (``clalign bench kernels`` measures them side by side), so that these numbers alone
     decide.
@@ -74,32 +74,32 @@ def evaluation_cost(rows: int, vertices: int, functions: int, rank: int) -> tupl
     functions, rank : k and r.
     """
     pairs = functions * (functions + 1) // 2
-    quadratic = 2 * rows * pairs * rank
+    moments = 2 * rows * pairs * rank
     streamed = rows * vertices * ((functions + rank) + (2 * functions + rank))
-    return quadratic, streamed
+    return moments, streamed
 
 
 def streaming_pays(rows: int, vertices: int, functions: int, rank: int) -> bool:
     """Tell whether the streamed form is the cheaper one; arguments as in `evaluation_cost`."""
-    quadratic, streamed = evaluation_cost(rows, vertices, functions, rank)
-    return streamed < quadratic
+    moments, streamed = evaluation_cost(rows, vertices, functions, rank)
+    return streamed < moments
 
 
-def quadratic_form(backend: Backend, side: AlignedSide) -> QuadraticForm:
-    """Return P towards the vertices of `side`, as a quadratic form."""
+def moments_soft_map(backend: Backend, side: ShapeData) -> MomentsSoftMap:
+    """Return P towards the vertices of `side`, as a moments."""
     array = backend.array
     packed = backend.packed_moments(array(side.basis), array(side.soft_weights), array(side.left))
-    return QuadraticForm(packed, None if side.normal is None else array(side.normal))
+    return MomentsSoftMap(packed, None if side.normal is None else array(side.normal))
 
 
-def streamed_form(backend: Backend, side: AlignedSide) -> StreamedForm:
+def streamed_soft_map(backend: Backend, side: ShapeData) -> StreamedSoftMap:
     """Return P towards the vertices of `side`, streamed."""
     array = backend.array
-    return StreamedForm(array(side.basis), array(side.soft_weights), array(side.left))
+    return StreamedSoftMap(array(side.basis), array(side.soft_weights), array(side.left))
 
 
-def cheaper_form(backend: Backend, side: AlignedSide, rows: int) -> SoftForm:
+def cheaper_soft_map(backend: Backend, side: ShapeData, rows: int) -> SoftMap:
     """Return P towards the vertices of `side` in the form that costs less for `rows` vertices of the other shape."""
     (vertices, functions), rank = side.basis.shape, side.left.shape[1]
-    make = streamed_form if streaming_pays(rows, vertices, functions, rank) else quadratic_form
+    make = streamed_soft_map if streaming_pays(rows, vertices, functions, rank) else moments_soft_map
     return make(backend, side)

@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 import clalign
 from clalign.alignment.band import funnel_band
+from clalign.alignment.rotation import least_squares_start
 from clalign.correspondence import Correspondence
 from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape, equally_smoothed
-from clalign.matching.pair import local_distortion
-from clalign.matching.stages import Clock, grown_maps, steps_before_alignment
+from clalign.matching.loop import Clock
+from clalign.matching.result import local_distortion
+from clalign.matching.stages import refined_maps, steps_before_alignment
 from clalign.mesh.mesh import Mesh
 from clalign.options import Options
-from clalign.refinement.zoomout import closed_form_rotation, coherent_steps
+from clalign.refinement.zoomout import BoundSpectra, two_way_steps
 
 
 def derived_correspondence(
@@ -31,17 +33,18 @@ def derived_correspondence(
     """
     clock = Clock()
     source, target = equally_smoothed(source, target, options.spectrum)
-    with clock.stage("up-sampling"):
-        maps = grown_maps(backend, source, target, functional, options)
+    with clock.stage("refinement"):
+        maps = refined_maps(source, target, functional, options, backend)
     count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
     descriptors = source.descriptors.head(count), target.descriptors.head(count)
     with clock.stage("read-out"):
         # As many steps as a match makes before and after its optimisation.
         steps = steps_before_alignment(options) + options.readout.steps
-        maps = coherent_steps(backend, *descriptors, maps, steps)
-    with clock.stage("closed form"):
-        band = funnel_band(count, options.alignment)
-        start = closed_form_rotation(backend, *descriptors, maps, band, options.alignment.sides == "one")
+        spectra = BoundSpectra.of(*descriptors, backend)
+        maps = two_way_steps(spectra, maps, steps, (source.order, target.order), backend)
+    with clock.stage("start of R"):
+        band, one_sided = funnel_band(count, options.alignment), options.alignment.sides == "one"
+        start = least_squares_start(*descriptors, maps, band, backend, one_sided=one_sided)
     return Correspondence(
         source=source.mesh,
         target=target.mesh,

@@ -21,12 +21,12 @@ from clalign.collection.rows import Kind, PairRow, ShapeRow
 from clalign.collection.session import Settings, session
 from clalign.collection.store import RESULT_FOLDER, PairMaps, Room, pair_key
 from clalign.correspondence import Correspondence, finite_or_none
-from clalign.engine import Reference
 from clalign.errors import ClalignError
 from clalign.evaluation.numbering import compact_of_file
-from clalign.maps.functional_maps import PointMaps, two_way_functional_map
+from clalign.maps.functional_maps import two_way_functional_map
+from clalign.maps.point_maps import PointMaps
+from clalign.matching.loop import Clock
 from clalign.matching.pair import match_shapes
-from clalign.matching.stages import Clock
 from clalign.mesh.mesh import Mesh
 
 try:
@@ -150,9 +150,7 @@ def pair_maps(result: Correspondence, latent: int) -> PairMaps:
         _compact(result.target_of_source, source, target), _compact(result.source_of_target, target, source)
     )
     size = min(latent, result.source_basis.count, result.target_basis.count)
-    functional = two_way_functional_map(
-        Reference(), result.source_basis.head(size), result.target_basis.head(size), maps
-    )
+    functional = two_way_functional_map(result.source_basis, result.target_basis, maps, size)
     return PairMaps(result.target_of_source.astype(np.int32), result.source_of_target.astype(np.int32), functional)
 
 

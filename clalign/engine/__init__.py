@@ -6,7 +6,10 @@ from clalign.engine.backend import Array, Backend, Band
 from clalign.engine.reference import Reference
 from clalign.options import EngineOptions
 
-__all__ = ["Array", "Backend", "Band", "Reference", "open_backend"]
+__all__ = ["HOST", "Array", "Backend", "Band", "Reference", "open_backend"]
+
+HOST: Backend = Reference()
+"""numpy in double precision: where functions of arrays compute that are not told where."""
 
 
 def open_backend(options: EngineOptions | None = None) -> Backend:

@@ -126,7 +126,7 @@ class ReferenceArrays:
 
     def weighted_gram(self, a: Array, b: Array, w: Array | None = None, *, out: Array | None = None) -> Array:
         """aᵀ diag(w) b."""
-        return stored(a.T @ (b if w is None else w[:, None] * b), out)
+        return stored((a if w is None else w[:, None] * a).T @ b, out)
 
     def solve_right(self, gram: Array, rhs: Array, ridge: float, *, out: Array | None = None) -> Array:
         """Return rhs (gram + ridge · trace(gram) / k · I)⁻¹; NaN where gram is not positive definite."""

@@ -45,9 +45,6 @@ ORIENTATION_FUNCTIONS = 30
 SIGNATURE_TIMES = np.geomspace(0.002, 0.05, 6)
 CURVATURE_TIME = 0.001
 CURVATURE_QUANTILE = 0.98
-#: Samples of maps between two shapes, and patches that such maps are chosen by.
-SAMPLES = 1000
-PATCHES = 100
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,7 @@ class Shape:
         return VertexOrder.spatial(self.mesh.vertices)
 
     @memoize
-    def samples(self, count: int = SAMPLES, patches: int = PATCHES) -> Samples:
+    def samples(self, count: int, patches: int) -> Samples:
         """Return `count` samples spread over the surface; see `spread_samples`."""
         return spread_samples(self.mesh.vertices, self.mass, self.geodesics, count, patches)
 
@@ -184,9 +181,9 @@ def _spectra(
     count = max(options.basis, options.refinement)
     basis = _stored(
         cache,
-        content_key("basis", _surface(mesh), {"count": count, "solver": options.solver}),
+        content_key("basis", _surface(mesh), {"count": count}),
         Spectrum,
-        lambda: solve(operators.stiffness, mass, count, options.solver, processor_count()),
+        lambda: solve(operators.stiffness, mass, count, processor_count()),
     )
     smoothing = _smoothing(mesh, operators, options)
     return operators, smoothing, basis, _descriptors(mesh, operators, basis, options, smoothing, cache)
@@ -212,9 +209,9 @@ def _descriptors(
         curvature = diffused(operators.curvature, operators.mass, operators.stiffness, smoothing)
         factor = conformal_factor(curvature, operators.mass, options, basis)
         mass = operators.mass * factor
-        return solve(operators.stiffness, mass, options.descriptors, options.solver, processor_count())
+        return solve(operators.stiffness, mass, options.descriptors, processor_count())
 
-    names = ("descriptors", "metric", "xi", "clamp", "epsilon", "solver")
+    names = ("descriptors", "metric", "xi", "clamp", "epsilon")
     values = {name: getattr(options, name) for name in names} | {"basis": basis.count, "smoothing": smoothing}
     return _stored(cache, content_key("descriptors", _surface(mesh), values), Spectrum, compute)
 

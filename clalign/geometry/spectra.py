@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -64,7 +64,6 @@ def solve(
     stiffness: sparse.csr_matrix,
     mass: NDArray[np.float64],
     count: int,
-    solver: Literal["block", "arpack"] = "block",
     threads: int = 1,
 ) -> Spectrum:
     """Return the lowest eigenpairs of W φ = λ M φ, with every residual checked.
@@ -77,8 +76,7 @@ def solve(
     stiffness : (n, n) symmetric positive semi-definite W.
     mass : (n,) positive diagonal of M.
     count : number of eigenpairs.
-    solver : "block" (shift-invert block Lanczos, `lanczos.lowest_pairs`) or "arpack" (the reference).
-    threads : slices of the spectrum that "block" computes side by side.
+    threads : slices of the spectrum that block Lanczos (`lanczos.lowest_pairs`) computes side by side.
 
     Returns
     -------
@@ -103,10 +101,8 @@ def solve(
     with single_threaded_blas():
         if n < DENSE_BELOW:
             values, vectors = _dense(operator, capped)
-        elif solver == "block":
-            values, vectors = _block(operator, capped, unit, threads)
         else:
-            values, vectors = _arpack(operator, capped, unit)
+            values, vectors = _block(operator, capped, unit, threads)
     residual = _largest_residual(operator, values, vectors, unit)
     if not residual <= TOLERANCE:
         raise ConvergenceError(f"an eigenpair of {capped} has residual {residual:.1e}, above {TOLERANCE:.0e}; {REMEDY}")

@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-SCORED = 7
-
 
 def carried_products(
     functional: NDArray[np.floating], tensor: NDArray[np.float64], pairs: NDArray[np.int64]
@@ -42,11 +40,11 @@ def index_pairs(first: int, last: int) -> NDArray[np.int64]:
 
 
 def orientation_scores(
-    functional: NDArray[np.floating], source: NDArray[np.float64], target: NDArray[np.float64]
+    functional: NDArray[np.floating], source: NDArray[np.float64], target: NDArray[np.float64], products: int
 ) -> NDArray[np.float64]:
     """Return each map's orientation in [−1, 1]: +1 keeps the orientation, −1 mirrors it.
 
-    The normalised inner product of C ω_X(φ_a, φ_b) with ω_Y(C φ_a, C φ_b) over 1 ≤ a < b ≤ 7.
+    The normalised inner product of C ω_X(φ_a, φ_b) with ω_Y(C φ_a, C φ_b) over 1 ≤ a < b ≤ `products`.
 
     Parameters
     ----------
@@ -58,7 +56,7 @@ def orientation_scores(
     (B,) float64.
     """
     size = min(functional.shape[1], source.shape[0], target.shape[0])
-    pairs = index_pairs(1, min(SCORED, size - 1))
+    pairs = index_pairs(1, min(products, size - 1))
     expected = source[pairs[:, 0], pairs[:, 1], :size].astype(np.float32)
     mapped = np.matmul(expected, functional[:, :size, :size].transpose(0, 2, 1))
     carried = carried_products(functional[:, :size], target, pairs)[:, :, :size]

@@ -1,13 +1,33 @@
-"""Vertex maps: what makes one valid, and how it is written for other programs."""
+"""Maps between the vertices of two shapes: their container, what makes one valid, and their text file."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import ResultError
+
+
+@dataclass(frozen=True)
+class PointMaps:
+    """A map and its reverse, each found on its own, of all vertices of both shapes or of samples of them.
+
+    Attributes
+    ----------
+    target_of_source : (n_x,) int64, a vertex of Y for every vertex (or sample) of X.
+    source_of_target : (n_y,) int64, a vertex of X for every vertex (or sample) of Y.
+    """
+
+    target_of_source: NDArray[np.int64]
+    source_of_target: NDArray[np.int64]
+
+    @property
+    def reversed(self) -> PointMaps:
+        """The same maps with the shapes exchanged."""
+        return PointMaps(self.source_of_target, self.target_of_source)
 
 
 def check_map(name: str, values: NDArray[np.int64], count: int, other_count: int) -> None:

@@ -1,303 +1,203 @@
-"""From two prepared shapes to R and the maps: search, up-sampling, closed form, optimisation, read-out."""
+"""The stages of a match, in their order, as pure functions over a frozen state.
+
+    smooth → search → refine → choose ξ → start R → align → read out
+
+Every stage yields what it has reached, as often as that is worth keeping: after Ctrl-C the last of it goes on.
+"""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.alternation import AlignedRotation, optimise_rotation
+from clalign.alignment.alternation import finished, outer_iterations
 from clalign.alignment.band import funnel_band
-from clalign.alignment.dense import DenseProblem, dense_distances
 from clalign.alignment.metric import choose_metric
-from clalign.alignment.objective import AlignmentProblem, Evaluation
-from clalign.alignment.problem_data import aligned_side, sampled_factors
-from clalign.alignment.rotation import StartingRotation, random_rotation
-from clalign.ctrl_c import plain_interrupts
-from clalign.engine.backend import Backend, Band
+from clalign.alignment.objective import Evaluation, Objective
+from clalign.alignment.problem_data import sampled_factors, shape_data
+from clalign.alignment.rotation import StartingRotation, least_squares_start, random_rotation
+from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape, equally_smoothed
 from clalign.geometry.spectra import Spectrum
-from clalign.maps.functional_maps import PointMaps, point_maps
+from clalign.maps.point_maps import PointMaps
+from clalign.matching.state import MatchState, required
 from clalign.options import Options
-from clalign.refinement.patches import piecewise_maps
-from clalign.refinement.precise import SurfacePoints, closest_points
-from clalign.refinement.zoomout import (
-    BoundSpectra,
-    best_grown,
-    closed_form_rotation,
-    coherent_embeddings,
-    coherent_steps,
-    vertex_maps,
-    wavelet_steps,
-)
-from clalign.search import SearchResult, find_isometry
+from clalign.refinement.patches import patchwise_maps
+from clalign.refinement.precise import closest_points
+from clalign.refinement.zoomout import BoundSpectra, best_grown_map, two_way_step, two_way_steps, vertex_maps
+from clalign.search.find import find_isometry
 
-Progress = Callable[[str, float, str], None]
-
-COARSE_DESCRIPTORS = 200
-"""Functions of the closed-form steps before the alignment; more cost more and were not better."""
+Report = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
-class AlignedPair:
-    """Everything that the alignment of two shapes found, in the compact vertex order of the meshes.
+class Stage:
+    """One stage.
 
     Attributes
     ----------
-    maps : the final read-out.
-    alignment : R with its history and losses.
-    source_descriptors, target_descriptors : d eigenfunctions each, signs folded into the source's.
-    functional : (k, k) C of R (Eq. 11, 26).
-    xi : exponent of the metric, chosen for this pair with the metric "auto".
-    points : of the target, for every source vertex; None without the sub-vertex read-out.
-    search : the search's result; None with the paper's random start.
-    rivals : maps of the best different candidates.
-    timings : seconds a stage.
+    name : in timings and progress.
+    needed : whether a state has not been through it.
+    run : yields states.
     """
 
-    maps: PointMaps
-    alignment: AlignedRotation
-    source_descriptors: Spectrum
-    target_descriptors: Spectrum
-    functional: NDArray[np.float64]
-    xi: float
-    points: SurfacePoints | None
-    search: SearchResult | None
-    rivals: tuple[PointMaps, ...]
-    timings: dict[str, float]
+    name: str
+    needed: Callable[[MatchState], bool]
+    run: Callable[[MatchState, Backend, Report], Iterator[MatchState]]
 
 
-@dataclass
-class Clock:
-    """Seconds spent in each stage, and a word to whoever watches."""
-
-    progress: Progress | None = None
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[Callable[[float, str], None]]:
-        """Time a stage; yields a function that reports its fraction and a message."""
-        started = time.perf_counter()
-
-        def report(fraction: float, message: str = "") -> None:
-            if self.progress is not None:
-                self.progress(name, fraction, message)
-
-        report(0.0, "")
-        try:
-            yield report
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
-        report(1.0, "")
+def smooth(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Smooth the curvature of both shapes where one of them is noisy."""
+    source, target = equally_smoothed(state.source, state.target, state.options.spectrum)
+    yield replace(state, source=source, target=target)
 
 
-@dataclass
-class Reached:
-    """How far a pair has come: what Ctrl-C keeps, and what need not be done again after it.
-
-    Attributes
-    ----------
-    found, maps, rivals : of the search, up-sampled.
-    metric : both shapes with the descriptors of the ξ that was chosen for them, and ξ.
-    start, alignment : R before and after the optimisation.
-    last : the maps of the last step of the read-out that was made.
-    """
-
-    found: SearchResult | None = None
-    maps: PointMaps | None = None
-    rivals: tuple[PointMaps, ...] = ()
-    metric: tuple[Shape, Shape, float] | None = None
-    start: StartingRotation | None = None
-    alignment: AlignedRotation | None = None
-    last: PointMaps | None = None
-
-    @property
-    def has_map(self) -> bool:
-        """Whether there is a map to keep."""
-        return self.found is not None or self.alignment is not None
-
-
-def align_pair(source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock) -> AlignedPair:
-    """Find the correspondence of two prepared shapes.
-
-    From the end of the search on, Ctrl-C cuts short what is left: the best so far is taken the shortest way to a whole
-    result, with the status "interrupted". Ctrl-C before it, or once more, is passed on.
-
-    Parameters
-    ----------
-    source, target : prepared with the same options.
-    clock : collects the timings.
-    """
-    reached = Reached()
-    if source.smoothing != target.smoothing:
-        with clock.stage("metric"):
-            source, target = equally_smoothed(source, target, options.spectrum)
-    try:
-        return _aligned(source, target, backend, options, clock, reached)
-    except KeyboardInterrupt:
-        if not reached.has_map:
-            raise
-    if clock.progress is not None:
-        clock.progress("interrupted", 0.0, "ending with the best so far; Ctrl-C once more gives up")
-    pair = _aligned(source, target, backend, _cut_short(options), clock, reached)
-    return replace(pair, alignment=replace(pair.alignment, status="interrupted"))
-
-
-def _cut_short(options: Options) -> Options:
-    """Return options with which every step that has not been made yet is left out."""
-    changes: dict[str, object] = {"readout.refine": "none", "readout.steps": 0, "alignment.rounds": 0}
-    if options.spectrum.metric == "auto":
-        changes["spectrum.metric"] = "power"
-    return options.replace({**changes, "search.alternatives": 0})
-
-
-@plain_interrupts()
-def _aligned(
-    source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock, reached: Reached
-) -> AlignedPair:
-    """Do what has not been reached yet."""
-    count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
-    band = funnel_band(count, options.alignment)
-    xi = options.spectrum.xi
-    if options.search.method == "random":
-        reached.start = reached.start or StartingRotation(np.ones(count), random_rotation(count, options.seed))
-    else:
-        if reached.found is None:
-            with clock.stage("search") as report:
-                reached.found = find_isometry(source, target, backend, options.search, lambda part: report(part, ""))
-        maps = _grown(source, target, backend, options, clock, reached)
-        if options.spectrum.metric == "auto" and reached.metric is None:
-            with clock.stage("metric"):
-                reached.metric = choose_metric(backend, source, target, maps, band, options.spectrum)
-        if reached.metric is not None:
-            source, target, xi = reached.metric
-            count = min(count, source.descriptors.count, target.descriptors.count)
-            band = funnel_band(count, options.alignment)
-        if reached.start is None:
-            with clock.stage("closed form"):
-                reached.start = _closed_form(backend, source, target, maps, band, options)
-    start = reached.start
-    descriptors = source.descriptors.head(count, start.signs), target.descriptors.head(count)
-    with clock.stage("alignment") as report:
-        problem = bind(source, target, descriptors, band, backend, options)
-        reached.alignment = reached.alignment or _optimised(problem, start, options, reached.maps, report)
-        functional = problem.functional_map(reached.alignment.rotation)
-    with clock.stage("read-out"):
-        maps, points = _final_maps(problem, reached, descriptors, target, options)
-    found, rivals = reached.found, reached.rivals
-    return AlignedPair(maps, reached.alignment, *descriptors, functional, xi, points, found, rivals, clock.seconds)
-
-
-def _grown(
-    source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock, reached: Reached
-) -> PointMaps:
-    """Return the maps of the isometry that was found, and add those of its rivals to what was reached."""
-    assert reached.found is not None
-    with clock.stage("up-sampling"):
-        if reached.maps is None:
-            reached.maps = grown_maps(backend, source, target, reached.found.functional, options)
-        for rival in reached.found.rivals[len(reached.rivals) : options.search.alternatives]:
-            reached.rivals += (grown_maps(backend, source, target, rival, options),)
-    return reached.maps
-
-
-def _final_maps(
-    problem: AlignmentProblem,
-    reached: Reached,
-    descriptors: tuple[Spectrum, Spectrum],
-    target: Shape,
-    options: Options,
-) -> tuple[PointMaps, SurfacePoints | None]:
-    """Return the maps after the last steps, and with the sub-vertex read-out the points that they stand for."""
-    assert reached.alignment is not None
-    backend, maps = problem.backend, reached.last or reached.alignment.maps
-    masses = (backend.array(side.mass) for side in descriptors)
-    spectra = BoundSpectra(*problem.descriptors, *masses)
-    embedded = None
-    for _ in range(options.readout.steps):
-        # Let go of the last ones before there are more.
-        embedded = None
-        embedded = coherent_embeddings(backend, spectra, maps)
-        reached.last = maps = point_maps(backend, *embedded, problem.orders, maps)
-    if not options.readout.subvertex:
-        return maps, None
-    queries, points = (backend.numpy(each) for each in embedded or problem.embeddings(reached.alignment.rotation))
-    return maps, closest_points(queries, points, target.mesh.faces, maps.target_of_source)
-
-
-def grown_maps(
-    backend: Backend, source: Shape, target: Shape, functional: NDArray[np.float64], options: Options
-) -> PointMaps:
-    """Return the vertex maps of a functional map from the search, up-sampled as the options say."""
-    if options.readout.refine == "none":
-        return vertex_maps(backend, source, target, functional)
-    if options.readout.refine == "pieces":
-        count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
-        descriptors = source.descriptors.head(count), target.descriptors.head(count)
-        return piecewise_maps(backend, source, target, descriptors, functional, options.spectrum.refinement)
-    functional = best_grown(backend, source, target, functional, options.spectrum.refinement)
-    maps = vertex_maps(backend, source, target, functional)
-    if options.readout.refine == "wavelet":
-        maps = wavelet_steps(backend, source, target, maps, 2)
-    return maps
-
-
-def steps_before_alignment(options: Options) -> int:
-    """Return how many two-way steps come before R; maps from pieces have had enough of them."""
-    return 0 if options.readout.refine == "pieces" else options.readout.steps
-
-
-def bind(
-    source: Shape,
-    target: Shape,
-    descriptors: tuple[Spectrum, Spectrum],
-    band: Band,
-    backend: Backend,
-    options: Options,
-) -> AlignmentProblem:
-    """Return the alignment problem of a pair."""
-    # With more functions than descriptors, α αᵀ has no inverse.
-    size = min(options.spectrum.basis, source.basis.count, target.basis.count, descriptors[0].count)
-    sides = (
-        aligned_side(source, size, descriptors[0].functions, options.alignment),
-        aligned_side(target, size, descriptors[1].functions, options.alignment),
+def search(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Search for the isometry."""
+    options = state.options
+    yield replace(
+        state,
+        found=find_isometry(
+            state.source,
+            state.target,
+            options.search.orientation,
+            options.rules.search,
+            backend,
+            lambda part: report(part, ""),
+        ),
     )
-    factors = sampled_factors(source, options.alignment)
-    if options.alignment.distances == "dense":
-        distances = dense_distances(source, target, options.geodesics.dense_below)
-        return DenseProblem(*sides, factors, distances, band, backend, options.alignment)
-    return AlignmentProblem(*sides, factors, band, backend, options.alignment)
 
 
-def _closed_form(
-    backend: Backend, source: Shape, target: Shape, maps: PointMaps, band: Band, options: Options
-) -> StartingRotation:
-    """Return R from the maps after closed-form steps among the lower scale-invariant eigenfunctions."""
+def refine(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Refine the chosen map to all vertices, then its alternatives."""
+    found, pair = required(state.found), (state.source, state.target)
+    if state.maps is None:
+        state = replace(state, maps=refined_maps(*pair, found.chosen.functional, state.options, backend))
+        yield state
+    for other in found.alternatives[len(state.alternatives) : state.options.search.alternatives]:
+        refined = refined_maps(*pair, other.functional, state.options, backend)
+        state = replace(state, alternatives=(*state.alternatives, refined))
+        yield state
+
+
+def choose_xi(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Choose the exponent of the metric for this pair."""
+    options, maps = state.options, required(state.maps)
+    source, target, xi = choose_metric(
+        state.source, state.target, maps, state.band, options.spectrum, options.rules.alignment, backend
+    )
+    yield replace(state, source=source, target=target, xi=xi, metric_chosen=True)
+
+
+def start_rotation(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Start R from the maps after two-way steps among the lower scale-invariant eigenfunctions, or at random."""
+    options, band, maps = state.options, state.band, state.maps
+    if maps is None:
+        start = StartingRotation(np.ones(state.count), random_rotation(state.count, options.seed))
+        yield replace(state, start=start)
+        return
+    source, target = state.source, state.target
     steps = steps_before_alignment(options)
     if steps:
-        coarse = max(min(COARSE_DESCRIPTORS, band.size), band.size // 2)
-        maps = coherent_steps(backend, source.descriptors.head(coarse), target.descriptors.head(coarse), maps, steps)
+        low = max(min(options.rules.refinement.closed_form, band.size), band.size // 2)
+        spectra = BoundSpectra.of(source.descriptors.head(low), target.descriptors.head(low), backend)
+        maps = two_way_steps(spectra, maps, steps, (source.order, target.order), backend)
     one_sided = options.alignment.sides == "one"
-    return closed_form_rotation(backend, source.descriptors, target.descriptors, maps, band, one_sided)
+    spectra_pair = source.descriptors, target.descriptors
+    yield replace(state, start=least_squares_start(*spectra_pair, maps, band, backend, one_sided=one_sided))
 
 
-def _optimised(
-    problem: AlignmentProblem,
-    start: StartingRotation,
-    options: Options,
-    guess: PointMaps | None,
-    report: Callable[[float, str], None],
-) -> AlignedRotation:
-    budget = max(1, options.alignment.rounds * options.alignment.iterations)
-    done = 0
+def align(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Optimise R."""
+    options, start = state.options, required(state.start)
+    readout, guess = options.readout.readout, state.maps
+    if state.objective is None:
+        bound = bind(state.source, state.target, state.scale_invariant(start.signs), backend, options)
+        state = replace(state, objective=bound)
+    objective = required(state.objective)
+    budget, done = max(1, options.alignment.outer_iterations * options.alignment.iterations), 0
 
     def watch(number: int, evaluation: Evaluation) -> None:
         nonlocal done
         done += 1
-        report(min(done / budget, 1.0), f"round {number + 1}, loss {evaluation.total:.5f}")
+        report(min(done / budget, 1.0), f"outer iteration {number + 1}, loss {evaluation.total:.5f}")
 
-    return optimise_rotation(problem, start.rotation, options.readout.readout, watch, guess)
+    if not state.interrupted or state.alignment is None:
+        for reached in outer_iterations(objective, start.rotation, readout, watch, guess):
+            state = replace(state, alignment=reached)
+            yield state
+    aligned = finished(objective, required(state.alignment), readout, guess)
+    functional = objective.functional_map(aligned.rotation)
+    yield replace(state, aligned=aligned, maps=aligned.maps, functional_map=functional)
+
+
+def read_out(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Take the maps of R through the last two-way steps, and, if asked, to points in faces."""
+    objective, aligned, maps = required(state.objective), required(state.aligned), required(state.maps)
+    spectra = BoundSpectra(
+        *objective.descriptors,
+        *(backend.array(side.mass) for side in (state.source.descriptors, state.target.descriptors)),
+    )
+    embedded = None
+    for step in range(state.steps, state.options.readout.steps):
+        # Let go of the last ones before there are more.
+        embedded = None
+        maps, embedded = two_way_step(spectra, maps, objective.orders, backend)
+        state = replace(state, maps=maps, steps=step + 1)
+        yield state
+    if state.options.readout.subvertex:
+        queries, points = (backend.numpy(each) for each in embedded or objective.embeddings(aligned.rotation))
+        faces = state.target.mesh.faces
+        yield replace(state, points=closest_points(queries, points, faces, maps.target_of_source))
+
+
+STAGES = (
+    Stage("metric", lambda state: state.source.smoothing != state.target.smoothing, smooth),
+    Stage("search", lambda state: state.options.search.method != "random", search),
+    Stage("refinement", lambda state: state.found is not None, refine),
+    Stage(
+        "metric",
+        lambda state: state.options.spectrum.metric == "auto" and state.maps is not None and not state.metric_chosen,
+        choose_xi,
+    ),
+    Stage("start of R", lambda state: state.start is None, start_rotation),
+    Stage("alignment", lambda state: state.aligned is None, align),
+    Stage("read-out", lambda state: True, read_out),
+)
+
+
+def refined_maps(
+    source: Shape, target: Shape, functional: NDArray[np.float64], options: Options, backend: Backend
+) -> PointMaps:
+    """Return the maps between all vertices that a functional map of the search leads to, refined as the options say."""
+    size, rules = options.spectrum.refinement, options.rules
+    if options.readout.refine == "patches":
+        count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
+        high = source.descriptors.head(count), target.descriptors.head(count)
+        return patchwise_maps(source, target, high, functional, size, rules.refinement, backend)
+    if options.readout.refine == "zoomout":
+        functional = best_grown_map(source, target, functional, size, rules, backend)
+    return vertex_maps(source, target, functional, backend)
+
+
+def steps_before_alignment(options: Options) -> int:
+    """Return how many two-way steps come before R; maps from patches have had enough of them."""
+    return 0 if options.readout.refine == "patches" else options.readout.steps
+
+
+def bind(
+    source: Shape, target: Shape, scale_invariant: tuple[Spectrum, Spectrum], backend: Backend, options: Options
+) -> Objective:
+    """Return the objective of a pair, for as many eigenfunctions as `scale_invariant` has."""
+    # With more functions than descriptors, α αᵀ has no inverse.
+    size = min(options.spectrum.basis, source.basis.count, target.basis.count, scale_invariant[0].count)
+    x, y = (
+        shape_data(shape, size, spectrum.functions, options.alignment)
+        for shape, spectrum in zip((source, target), scale_invariant, strict=True)
+    )
+    factors = sampled_factors(source, options.alignment, options.rules.refinement.patches)
+    band = funnel_band(scale_invariant[0].count, options.alignment)
+    return Objective(x, y, factors, band, backend, options.alignment, options.rules.alignment)

@@ -1,10 +1,10 @@
-"""The best of several maps, piece by piece.
+"""The best of several maps, patch by patch.
 
 A map can be right as a whole and wrong in a part: a hand with its fingers exchanged, an arm turned about its axis, a
-snout with its sides exchanged, a sole that slid. Another way of growing the same map is wrong elsewhere. So several are
-grown, and every piece of the surface takes the map that explains it best, of those that do not turn it inside out. The
-chosen map is grown again from its low functions, in a few ways, which forgets how its parts came about, and compared
-with itself; whatever is better in a piece is kept.
+snout with its sides exchanged, a sole that slid. Another ZoomOut schedule is wrong elsewhere. So the map is grown by
+several, and every patch of the surface takes the map that explains it best, of those that do not turn it inside out.
+The chosen map is grown again from its low functions, in a few ways, which forgets how its parts came about, and
+compared with itself; whatever is better in a patch is kept.
 """
 
 from __future__ import annotations
@@ -19,76 +19,58 @@ from numpy.typing import NDArray
 from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape
 from clalign.geometry.spectra import Spectrum
-from clalign.maps.functional_maps import PointMaps, orthogonalised, point_maps_in_order
+from clalign.maps.functional_maps import polar_factor, singular_value_weighting
+from clalign.maps.nearest import point_maps
 from clalign.maps.orientation import carried_products, index_pairs
-from clalign.maps.sampling import (
-    SampledBasis,
-    SampleMaps,
-    coherent_factors,
-    coherent_sample_steps,
-    nearest_samples,
-    quickly_orthogonalised,
-    sample_functional_map,
-    sampled_basis,
-)
-from clalign.refinement.zoomout import GROWTHS, up_sampled
-
-GROWN = 140
-"""Laplace–Beltrami functions that a map is grown to at first, before ..."""
-SETTLING = (200,)
-"""... steps with so many scale-invariant ones."""
-REGROWTH = (60, 80, 110, 150, 200, 250)
-"""Functions of the steps that grow a map again in the scale-invariant basis, ..."""
-LOW_REGROWTH = (60, 90, 130, 170)
-"""... and in the Laplace–Beltrami basis, before `SETTLING`."""
-GENERATIONS = 2
-TURNED = 11
-"""Last function whose triple products tell the orientation of a piece."""
-LIMIT = 250
-"""Functions that pieces are compared with."""
+from clalign.maps.point_maps import PointMaps
+from clalign.maps.sampling import SampledBasis, nearest_samples, sample_functional_map, two_way_sample_steps
+from clalign.refinement.zoomout import SAMPLES_A_FUNCTION, grown_map
+from clalign.rules import RefinementRules
 
 
 def embedding_residuals(
-    source: SampledBasis, target: SampledBasis, maps: SampleMaps
+    source: SampledBasis, target: SampledBasis, maps: PointMaps, rules: RefinementRules
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return how badly the maps' own functional map explains each match: (S_x,) and (S_y,) squared distances.
 
-    Distances between matched points in the embeddings by all functions that the orthogonalised functional map turns
-    onto each other. It is the compromise of the whole surface; where a part is turned or folded, no rotation of the
-    functions brings both the part and its surroundings together. All directions weigh 1, so that maps can be compared:
-    weighted by coherence a worse map would be forgiven more.
+    Distances between matched points in the embeddings by all functions that the polar factor of the functional map
+    turns onto each other. It is the compromise of the whole surface; where a part is turned or folded, no rotation of
+    the functions brings both the part and its surroundings together. All directions weigh 1, so that maps can be compared:
+    weighted by singular values a worse map would be forgiven more.
     """
-    size = min(source.count, target.count, LIMIT)
-    turn = quickly_orthogonalised(sample_functional_map(source, target, maps, size)).astype(np.float32)
-    at_x = source.at_samples(size) - target.functions[maps.target_of_source, :size] @ turn
-    at_y = target.at_samples(size) @ turn - source.functions[maps.source_of_target, :size]
+    size = min(source.count, target.count, rules.compared)
+    rotation = polar_factor(sample_functional_map(source, target, maps, size, rules.ridge)).astype(np.float32)
+    at_x = source.at_samples(size) - target.functions[maps.target_of_source, :size] @ rotation
+    at_y = target.at_samples(size) @ rotation - source.functions[maps.source_of_target, :size]
     return np.einsum("sk,sk->s", at_x, at_x), np.einsum("sk,sk->s", at_y, at_y)
 
 
 @dataclass(frozen=True, eq=False)
 class Orientations:
-    """What tells whether a map keeps the orientation of a piece: triple products of the low LBO functions.
+    """What tells whether a map keeps the orientation of a patch: triple products of the low LBO functions.
 
     Attributes
     ----------
     source, target : Laplace–Beltrami functions with the samples.
     source_tensor, target_tensor : (p, p, p), see `operators.orientation_tensor`.
+    rules : how many products are compared.
     """
 
     source: SampledBasis
     target: SampledBasis
     source_tensor: NDArray[np.float64]
     target_tensor: NDArray[np.float64]
+    rules: RefinementRules
 
-    def agreements(self, maps: SampleMaps) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def agreements(self, maps: PointMaps) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return how far n · (∇φ_a × ∇φ_b) is carried along at each sample: (S_x,) and (S_y,), negative if turned over.
 
         The products of the first functions of the source are compared at matched vertices with those of what the map
         makes of them on the target, and multiplied by −1 where the map reverses the orientation as a whole.
         """
         size = min(len(self.source_tensor), len(self.target_tensor))
-        functional = quickly_orthogonalised(sample_functional_map(self.source, self.target, maps, size))
-        pairs = index_pairs(1, min(TURNED, size - 1))
+        functional = polar_factor(sample_functional_map(self.source, self.target, maps, size, self.rules.ridge))
+        pairs = index_pairs(1, min(self.rules.oriented_products, size - 1))
         expected = self.source_tensor[pairs[:, 0], pairs[:, 1], :size]
         carried = carried_products(functional[None], self.target_tensor, pairs)[0, :, :size]
         own, others = self.source.at_samples(size), self.target.functions[maps.target_of_source, :size]
@@ -99,18 +81,19 @@ class Orientations:
         return (-at_x, -at_y) if whole < 0 else (at_x, at_y)
 
 
-def best_pieces(
+def best_patches(
     source: SampledBasis,
     target: SampledBasis,
-    candidates: Sequence[SampleMaps],
+    candidates: Sequence[PointMaps],
+    rules: RefinementRules,
     orientations: Orientations | None = None,
-) -> SampleMaps:
-    """Return the maps that take every piece from the candidate with the least residual there, on each shape.
+) -> PointMaps:
+    """Return the maps that take every patch from the candidate with the least residual there, on each shape.
 
-    orientations : with them a piece that a candidate turns inside out is taken from another one, if there is any.
+    orientations : with them a patch that a candidate turns inside out is taken from another one, if there is any.
         Residuals alone would not mind: what is mirrored as a whole fits as well but along its rim.
     """
-    residuals = [embedding_residuals(source, target, maps) for maps in candidates]
+    residuals = [embedding_residuals(source, target, maps, rules) for maps in candidates]
     agreements = None if orientations is None else [orientations.agreements(maps) for maps in candidates]
     matches = [(maps.target_of_source, maps.source_of_target) for maps in candidates]
     forward, backward = (
@@ -122,7 +105,7 @@ def best_pieces(
         )
         for side, basis in enumerate((source, target))
     )
-    return SampleMaps(forward, backward)
+    return PointMaps(forward, backward)
 
 
 def _chosen(
@@ -131,65 +114,65 @@ def _chosen(
     residuals: list[NDArray[np.float32]],
     agreements: list[NDArray[np.float64]] | None,
 ) -> NDArray[np.int64]:
-    weights, pieces = basis.samples.weights, basis.samples.patches
+    weights, patches = basis.samples.weights, basis.samples.patches
 
     def totals(values: list[Any]) -> NDArray[np.float64]:
-        return np.stack([np.bincount(pieces, weights=weights * each) for each in values])
+        return np.stack([np.bincount(patches, weights=weights * each) for each in values])
 
     costs = np.nan_to_num(totals(residuals), nan=np.inf, posinf=np.inf)
     if agreements is not None:
-        turned = totals(agreements) < 0
-        costs[turned & ~turned.all(axis=0)] = np.inf
-    return np.stack(matches)[np.argmin(costs, axis=0)[pieces], np.arange(pieces.size)]
+        inside_out = totals(agreements) < 0
+        costs[inside_out & ~inside_out.all(axis=0)] = np.inf
+    return np.stack(matches)[np.argmin(costs, axis=0)[patches], np.arange(patches.size)]
 
 
-def piecewise_maps(
-    backend: Backend,
+def patchwise_maps(
     source: Shape,
     target: Shape,
-    descriptors: tuple[Spectrum, Spectrum],
+    scale_invariant: tuple[Spectrum, Spectrum],
     functional: NDArray[np.float64],
     size: int,
+    rules: RefinementRules,
+    backend: Backend,
 ) -> PointMaps:
     """Return the maps between all vertices that a functional map of the search leads to.
 
     Parameters
     ----------
-    descriptors : scale-invariant eigenfunctions of both shapes, equally many.
+    scale_invariant : eigenfunctions of both shapes, equally many.
     functional : (k, k), between Laplace–Beltrami functions.
     size : at most so many Laplace–Beltrami functions are used.
     """
-    spread, orders = (source.samples(), target.samples()), (source.order, target.order)
-    low_x, low_y, high_x, high_y = (
-        sampled_basis(backend, spectrum, own, order)
-        for spectra in ((source.basis, target.basis), descriptors)
-        for spectrum, own, order in zip(spectra, spread, orders, strict=True)
-    )
+    low = _sampled_bases(source, target, (source.basis, target.basis), rules, backend)
+    high = _sampled_bases(source, target, scale_invariant, rules, backend)
 
-    def settled(maps: SampleMaps, sizes: tuple[int, ...]) -> SampleMaps:
-        return coherent_sample_steps(backend, high_x, high_y, maps, _up_to(sizes, high_x, high_y))
+    def settled(maps: PointMaps, bases: tuple[SampledBasis, SampledBasis], sizes: tuple[int, ...]) -> PointMaps:
+        most = min(basis.count for basis in bases)
+        cut = sorted({min(count, most) for count in sizes})
+        return two_way_sample_steps(*bases, maps, cut, rules.ridge, backend)
 
     grown = []
-    for growth in GROWTHS:
-        larger = up_sampled(backend, source, target, functional, min(size, GROWN), growth)
-        started = nearest_samples(backend, low_x, low_y, (np.eye(len(larger)), orthogonalised(larger)))
-        grown.append(settled(started, SETTLING))
-    orientations = Orientations(low_x, low_y, source.orientation, target.orientation)
-    maps = best_pieces(high_x, high_y, grown, orientations)
-    for _ in range(GENERATIONS):
-        lower = coherent_sample_steps(backend, low_x, low_y, maps, _up_to(LOW_REGROWTH, low_x, low_y))
-        maps = best_pieces(high_x, high_y, [maps, settled(maps, REGROWTH), settled(lower, SETTLING)], orientations)
-    # More functions than half the equations of the least squares would fit its noise.
-    count = min(high_x.count, high_y.count, max((spread[0].vertices.size + spread[1].vertices.size) // 4, 1))
-    factors = coherent_factors(sample_functional_map(high_x, high_y, maps, count))
+    for schedule in rules.schedules:
+        larger = grown_map(source, target, functional, min(size, rules.grown), schedule, rules, backend)
+        started = nearest_samples(*low, (np.eye(len(larger)), polar_factor(larger)), None, backend)
+        grown.append(settled(started, high, rules.settle))
+    orientations = Orientations(*low, source.orientation, target.orientation, rules)
+    maps = best_patches(*high, grown, rules, orientations)
+    for _ in range(rules.generations):
+        lower = settled(settled(maps, low, rules.regrow_low), high, rules.settle)
+        maps = best_patches(*high, [maps, settled(maps, high, rules.regrow), lower], rules, orientations)
+    equations = sum(basis.samples.vertices.size for basis in high)
+    count = min(high[0].count, high[1].count, max(equations // (2 * SAMPLES_A_FUNCTION), 1))
+    factors = singular_value_weighting(sample_functional_map(*high, maps, count, rules.ridge))
+    x, y = (basis.embedded(factor, backend) for basis, factor in zip(high, factors, strict=True))
+    return point_maps(x, y, (source.order, target.order), backend=backend)
+
+
+def _sampled_bases(
+    source: Shape, target: Shape, spectra: tuple[Spectrum, Spectrum], rules: RefinementRules, backend: Backend
+) -> tuple[SampledBasis, SampledBasis]:
     x, y = (
-        backend.product(basis.uploaded, backend.array(factor), leading=True)
-        for basis, factor in zip((high_x, high_y), factors, strict=True)
+        SampledBasis.of(spectrum, shape.samples(rules.samples, rules.patches), shape.order, backend)
+        for shape, spectrum in zip((source, target), spectra, strict=True)
     )
-    return point_maps_in_order(backend, x, y, orders)
-
-
-def _up_to(sizes: tuple[int, ...], source: SampledBasis, target: SampledBasis) -> tuple[int, ...]:
-    """Return the sizes cut to what both shapes have."""
-    most = min(source.count, target.count)
-    return tuple(sorted({min(size, most) for size in sizes}))
+    return x, y

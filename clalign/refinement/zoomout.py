@@ -1,4 +1,4 @@
-"""From a map between samples to maps between all vertices: spectral up-sampling and closed-form steps."""
+"""From the functional map of the search to maps between all vertices: ZoomOut by schedules, and two-way steps."""
 
 from __future__ import annotations
 
@@ -8,146 +8,102 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.band import band_mask
-from clalign.alignment.rotation import StartingRotation, starting_rotation
-from clalign.engine.backend import Backend, Band
+from clalign.engine.backend import Backend
+from clalign.geometry.sampling import Samples
 from clalign.geometry.shape import Shape
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.functional_maps import (
-    PointMaps,
-    coherent_directions,
+    MatchedRows,
+    functional_map,
     functional_point_maps,
-    orthogonalised,
-    point_maps,
-    two_way_functional_map,
+    polar_factor,
+    singular_value_weighting,
     two_way_least_squares,
-    wavelet_filtered,
 )
-from clalign.maps.nearest import nearest_in_order
-from clalign.refinement.pointwise import Kind, pointwise_fields
-from clalign.search.batch import Level, SamplePair, up_sample
-from clalign.search.sampled import sampled
+from clalign.maps.nearest import Orders, nearest_rows, permuted, point_maps
+from clalign.maps.point_maps import PointMaps
+from clalign.maps.zoomout import zoomout
+from clalign.refinement.pointwise import pointwise_descriptors
+from clalign.rules import RefinementRules, Rules, ZoomOutSchedule
+from clalign.search.batch import SamplePair, up_sample
 from clalign.search.score import map_scores
 
-UP_SAMPLING_QUERIES = 1000
+SAMPLES_A_FUNCTION = 2
+"""Least squares on samples have at least so many equations for every function."""
 
 
-@dataclass(frozen=True)
-class Growth:
-    """How a functional map is grown.
-
-    start : functions that are kept of it; None keeps all.
-    step : functions added at a time.
-    strength : variance of the pointwise fields beside the eigenfunctions, relative to theirs.
-    fields : which fields; see `fields.pointwise_fields`.
-    """
-
-    start: int | None = None
-    step: int = 10
-    strength: float = 0.0
-    fields: Kind = "curvatures"
-
-
-GROWTHS = (
-    Growth(None, 20),
-    Growth(40, 20, 0.2, "signatures"),
-    Growth(30, 20, 0.1, "curvatures"),
-    Growth(15, 20, 0.5, "oriented"),
-    Growth(25, 20, 0.25, "oriented"),
-)
-
-
-def up_sampled(
-    backend: Backend,
+def grown_map(
     source: Shape,
     target: Shape,
     functional: NDArray[np.float64],
     size: int,
-    growth: Growth = GROWTHS[0],
+    schedule: ZoomOutSchedule,
+    rules: RefinementRules,
+    backend: Backend,
 ) -> NDArray[np.float64]:
     """Return the functional map grown to `size` functions (ZoomOut on samples of Y against all vertices of X).
 
-    Every point map is read from the orthogonalised functional map: an isometry's is orthogonal. Pointwise fields stand
-    beside the eigenfunctions with a strength that grows with their number.
+    Every point map is read from the polar factor of the functional map: an isometry's is orthogonal. Pointwise
+    descriptors stand beside the eigenfunctions with a strength that grows with their number.
 
     Parameters
     ----------
     functional : (k, k), where to start.
     """
-    spread = target.samples(UP_SAMPLING_QUERIES)
-    placed = np.argsort(target.order.inverse[spread.vertices])
-    queried, weights = spread.vertices[placed], spread.weights[placed]
-    largest = min(size, source.basis.count, target.basis.count, queried.size // 2)
-    basis = target.basis.functions[queried, :largest]
-    functions = source.basis.functions[source.order.vertices, :largest]
-    weighted = basis * weights[:, None]
-    gram = basis.T @ weighted
-    kept = min(growth.start or len(functional), len(functional), largest)
-    sizes = [*range(kept + growth.step, largest, growth.step), largest]
-    if growth.start is not None:
+    queried = _in_order(target.samples(rules.queries, rules.patches), target)
+    order = source.order.vertices
+    largest = min(size, source.basis.count, target.basis.count, queried.vertices.size // SAMPLES_A_FUNCTION)
+    basis, functions = target.basis.functions[queried.vertices, :largest], source.basis.functions[order, :largest]
+    gram = basis.T @ (basis * queried.weights[:, None])
+    kept = min(schedule.start or len(functional), len(functional), largest)
+    sizes = [*range(kept + schedule.step, largest, schedule.step), largest]
+    if schedule.start is not None:
         sizes = [kept, kept, *sizes]
     functional = functional[:kept, :kept]
-    field_x, field_y = pointwise_fields(source, target, functional, growth.fields)
-    field_x, field_y = field_x[source.order.vertices], field_y[queried]
-    index = None
-    for wanted in sizes:
-        current = len(functional)
-        scale = np.sqrt(growth.strength * current / field_x.shape[1])
-        queries = np.concatenate([basis[:, :current] @ orthogonalised(functional), scale * field_y], axis=1)
-        rows = np.concatenate([functions[:, :current], scale * field_x], axis=1, dtype=backend.dtype)
-        points = backend.array(rows)
-        index = nearest_in_order(backend, backend.array(queries), points, backend.half_squares(points), index)
-        pulled = weighted[:, :wanted].T @ functions[index, :wanted]
-        functional = np.asarray(np.linalg.solve(gram[:wanted, :wanted], pulled), dtype=np.float64)
-    return functional
+    beside_x, beside_y = pointwise_descriptors(source, target, functional, schedule.descriptors, rules)
+    beside_x, beside_y = beside_x[order], beside_y[queried.vertices]
+
+    def read(current: NDArray[np.float64], guess: NDArray[np.int64] | None, _: int) -> NDArray[np.int64]:
+        count = len(current)
+        scale = np.sqrt(schedule.strength * count / beside_x.shape[1])
+        queries = np.concatenate([basis[:, :count] @ polar_factor(current), scale * beside_y], axis=1)
+        points = np.concatenate([functions[:, :count], scale * beside_x], axis=1, dtype=backend.dtype)
+        return nearest_rows(queries, points, guess, backend)
+
+    def fit(index: NDArray[np.int64], wanted: int) -> NDArray[np.float64]:
+        rows = MatchedRows(basis[:, :wanted], functions[index, :wanted], queried.weights)
+        return functional_map([rows], gram[:wanted, :wanted])
+
+    return zoomout(sizes, read, fit, functional=functional)[0]
 
 
-def best_grown(
-    backend: Backend, source: Shape, target: Shape, functional: NDArray[np.float64], size: int
+def _in_order(samples: Samples, shape: Shape) -> Samples:
+    """Return samples in the order of the shape's vertices."""
+    order = np.argsort(shape.order.inverse[samples.vertices])
+    return Samples(samples.vertices[order], samples.weights[order], samples.patches[order])
+
+
+def best_grown_map(
+    source: Shape, target: Shape, functional: NDArray[np.float64], size: int, rules: Rules, backend: Backend
 ) -> NDArray[np.float64]:
-    """Return the best of the functional maps that `GROWTHS` give, by the score that also chose among candidates.
+    """Return the best of the functional maps that the schedules give, by the score that also chose among candidates.
 
-    Where the low functions leave a part open, different growths turn it differently; the score tells them apart.
+    Where the low functions leave a part open, different schedules turn it differently; the score tells them apart.
     """
-    grown = [up_sampled(backend, source, target, functional, size, growth) for growth in GROWTHS]
-    pair = SamplePair(sampled(source), sampled(target), backend)
-    level = pair.fit(Level(len(grown[0]), UP_SAMPLING_QUERIES, UP_SAMPLING_QUERIES))
+    inside = rules.refinement
+    grown = [grown_map(source, target, functional, size, each, inside, backend) for each in inside.schedules]
+    pair = SamplePair.of(source, target, backend)
+    level = pair.fit(len(grown[0]), inside.queries, inside.queries)
     cut = np.array([each[: level.size, : level.size] for each in grown], dtype=np.float32)
-    batch = up_sample(pair, cut, [level])
-    return grown[int(np.argmin(map_scores(pair, batch, level.points)))]
+    return grown[int(np.argmin(map_scores(pair, up_sample(pair, cut, [level]), level.points)))]
 
 
-def vertex_maps(backend: Backend, source: Shape, target: Shape, functional: NDArray[np.float64]) -> PointMaps:
-    """Return the maps between all vertices of a functional map in the LBO bases, orthogonalised."""
+def vertex_maps(source: Shape, target: Shape, functional: NDArray[np.float64], backend: Backend) -> PointMaps:
+    """Return the maps between all vertices of a functional map in the Laplace–Beltrami bases, by its polar factor."""
     size = len(functional)
     return functional_point_maps(
-        backend, orthogonalised(functional), source.basis.functions[:, :size], target.basis.functions[:, :size]
+        polar_factor(functional), source.basis.functions[:, :size], target.basis.functions[:, :size], backend
     )
-
-
-def wavelet_steps(backend: Backend, source: Shape, target: Shape, maps: PointMaps, steps: int) -> PointMaps:
-    """Return the maps after `steps` two-way steps in the whole LBO basis with Meyer wavelet filters."""
-    size = min(source.basis.count, target.basis.count)
-    x, y = source.basis, target.basis
-    for _ in range(steps):
-        functional = wavelet_filtered(
-            two_way_functional_map(backend, x, y, maps, size), x.eigenvalues[:size], y.eigenvalues[:size]
-        )
-        maps = vertex_maps(backend, source, target, functional)
-    return maps
-
-
-def closed_form_rotation(
-    backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps, band: Band, one_sided: bool
-) -> StartingRotation:
-    """Return the R that explains `maps` best, by two-way least squares, projection and square root (no losses).
-
-    Parameters
-    ----------
-    source, target : scale-invariant eigenfunctions, at least as many as `band` has rows.
-    """
-    functional = two_way_functional_map(backend, source, target, maps, band.size)
-    return starting_rotation(functional, band_mask(band), one_sided=one_sided)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,28 +122,32 @@ class BoundSpectra:
     target_mass: Any
 
     @staticmethod
-    def of(backend: Backend, source: Spectrum, target: Spectrum) -> BoundSpectra:
+    def of(source: Spectrum, target: Spectrum, backend: Backend) -> BoundSpectra:
         """Bring the functions of two spectra to a backend."""
         functions = backend.array(source.functions), backend.array(target.functions)
         return BoundSpectra(*functions, backend.array(source.mass), backend.array(target.mass))
 
+    def functional_map(self, maps: PointMaps, backend: Backend) -> NDArray[np.float64]:
+        """Return the functional map (d, d) that explains maps of all vertices best."""
+        return two_way_least_squares(self.source, self.target, self.source_mass, self.target_mass, maps, backend)
 
-def coherent_embeddings(backend: Backend, spectra: BoundSpectra, maps: PointMaps) -> tuple[Any, Any]:
-    """Return the eigenfunctions of both shapes turned onto each other, weighted by coherence.
-
-    Returns
-    -------
-    (n_x, d) and (n_y, d), arrays of the backend.
-    """
-    x, y = spectra.source, spectra.target
-    functional = two_way_least_squares(backend, x, y, spectra.source_mass, spectra.target_mass, maps)
-    directions = coherent_directions(functional)
-    return backend.product(x, backend.array(directions.source)), backend.product(y, backend.array(directions.target))
+    def weighted(self, functional: NDArray[np.float64], backend: Backend) -> tuple[Any, Any]:
+        """Return (n_x, d) and (n_y, d): the functions turned onto each other and weighted by singular values."""
+        x, y = singular_value_weighting(functional)
+        return backend.product(self.source, backend.array(x)), backend.product(self.target, backend.array(y))
 
 
-def coherent_steps(backend: Backend, source: Spectrum, target: Spectrum, maps: PointMaps, steps: int) -> PointMaps:
-    """Return the maps after `steps` two-way steps among the scale-invariant eigenfunctions, weighted by coherence."""
-    spectra = BoundSpectra.of(backend, source, target)
+def two_way_step(
+    spectra: BoundSpectra, maps: PointMaps, orders: Orders, backend: Backend
+) -> tuple[PointMaps, tuple[Any, Any]]:
+    """Return the maps after one two-way step, weighted by singular values, and the embeddings they are read from."""
+    embedded = spectra.weighted(spectra.functional_map(maps, backend), backend)
+    x, y = (permuted(rows, order, backend) for rows, order in zip(embedded, orders, strict=True))
+    return point_maps(x, y, orders, maps, backend), embedded
+
+
+def two_way_steps(spectra: BoundSpectra, maps: PointMaps, steps: int, orders: Orders, backend: Backend) -> PointMaps:
+    """Return the maps after `steps` two-way steps among all vertices."""
     for _ in range(steps):
-        maps = point_maps(backend, *coherent_embeddings(backend, spectra, maps), guess=maps)
+        maps, _ = two_way_step(spectra, maps, orders, backend)
     return maps

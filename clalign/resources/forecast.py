@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clalign.alignment.metric import EXPONENTS
 from clalign.alignment.soft_map import evaluation_cost
 from clalign.errors import MemoryBudgetError
 from clalign.geometry.geodesics import affordable_samples
@@ -259,12 +258,12 @@ def _seconds(size: Sizes, options: Options, cores: int) -> dict[str, float]:
         for count in (size.functions, size.descriptors):
             eigen += _eigensolver_seconds(vertices, count)
         rows += vertices * affordable_samples(vertices, options.geodesics.search_samples, size.rows)
-    evaluations = options.alignment.rounds * (options.alignment.iterations + 3) + 1
+    evaluations = options.alignment.outer_iterations * (options.alignment.iterations + 3) + 1
     soft_map = evaluation_cost(size.losses, size.target, size.basis, size.rank)
     # A multiplication and an addition each, and half as much again for the products around the soft map.
     evaluation = 3.0 * (soft_map[0] if options.alignment.cycle else min(soft_map))
     evaluation += 20.0 * size.descriptors**2 * size.basis
-    read_outs = 2 + options.alignment.rounds + options.readout.steps
+    read_outs = 2 + options.alignment.outer_iterations + options.readout.steps
     functions = size.descriptors * read_outs + (0 if pieces_are_grown(options) else size.functions)
     nearest = 4.0 * size.source * size.target * functions / math.sqrt(max(min(size.source, size.target) / SPARED, 1.0))
     alignment = evaluations * evaluation / RATES["losses"] + nearest / RATES["nearest"]
@@ -272,7 +271,7 @@ def _seconds(size: Sizes, options: Options, cores: int) -> dict[str, float]:
     search = 0.0 if options.search.method == "random" else size.samples / RATES["search"]
     metric = 0.0
     if options.spectrum.metric == "auto":
-        tried = len(EXPONENTS) - 1
+        tried = len(options.rules.alignment.exponents) - 1
         metric = tried * sum(_eigensolver_seconds(each, size.descriptors) for each in (size.source, size.target))
     return {
         "start": FIXED_SECONDS["start"],

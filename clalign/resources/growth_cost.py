@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clalign.geometry.shape import SAMPLES
 from clalign.options import Options
-from clalign.refinement.patches import GENERATIONS, GROWN, LIMIT, LOW_REGROWTH, REGROWTH, SETTLING
-from clalign.refinement.zoomout import GROWTHS, UP_SAMPLING_QUERIES
+from clalign.rules import RefinementRules
+
+_R = RefinementRules()
+GENERATIONS, GROWN, LIMIT, LOW_REGROWTH, REGROWTH, SETTLING, GROWTHS, UP_SAMPLING_QUERIES, SAMPLES = (
+    _R.generations,
+    _R.grown,
+    _R.compared,
+    _R.regrow_low,
+    _R.regrow,
+    _R.settle,
+    _R.schedules,
+    1000,
+    1000,
+)
 
 if TYPE_CHECKING:
     from clalign.resources.forecast import Sizes
@@ -19,7 +30,7 @@ WAVELET_STEPS = 2
 
 def pieces_are_grown(options: Options) -> bool:
     """Tell whether a match grows several maps and takes the best of each piece."""
-    return options.search.method != "random" and options.readout.refine == "pieces"
+    return options.search.method != "random" and options.readout.refine == "patches"
 
 
 def growth_operations(size: Sizes, options: Options) -> tuple[float, float]:

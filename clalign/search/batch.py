@@ -7,25 +7,83 @@ spectral up-sampling step of all candidates is one product, one nearest-neighbou
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.engine.backend import Backend, DistortionKind
+from clalign.geometry.geodesics import prefix_shares
+from clalign.geometry.shape import Shape
+from clalign.maps.orientation import orientation_scores
+from clalign.maps.zoomout import zoomout
 from clalign.memoize import memoize
-from clalign.search.sampled import SampledShape
+from clalign.rules import Level
 
 
-@dataclass(frozen=True)
-class Level:
-    """Sizes of one step: `size` functions, `queries` samples of Y, `points` samples of X."""
+@dataclass(frozen=True, eq=False)
+class SampledShape:
+    """Eigenfunctions, distances and descriptors of a shape at its farthest-point samples.
 
-    size: int
-    queries: int
-    points: int
+    Every prefix of the samples is itself a farthest-point sample, so a coarse step uses the first ``m`` of them.
+
+    Attributes
+    ----------
+    functions : (S, K) float64, LBO eigenfunctions at the samples.
+    eigenvalues : (K,) float64.
+    distances : (S, S) float64, geodesic, in units of sqrt(area).
+    weights : (S,) float64, area of each sample's geodesic Voronoi cell; sums to 1.
+    tensor : (p, p, p) float64, O[a, b, c] = <phi_c, n . (grad phi_a x grad phi_b)>.
+    signatures : (S, 6) float64, log heat kernel signatures.
+    curvatures : (S, 2) float64, smoothed mean and Gaussian curvature.
+    """
+
+    functions: NDArray[np.float64]
+    eigenvalues: NDArray[np.float64]
+    distances: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    tensor: NDArray[np.float64]
+    signatures: NDArray[np.float64]
+    curvatures: NDArray[np.float64]
+
+    @staticmethod
+    def of(shape: Shape) -> SampledShape:
+        """Return what the search reads of a shape."""
+        vertices = shape.geodesics.samples
+        return SampledShape(
+            functions=np.ascontiguousarray(shape.basis.functions[vertices]),
+            eigenvalues=shape.basis.eigenvalues,
+            distances=shape.geodesics.distances,
+            weights=shape.geodesics.weights,
+            tensor=shape.orientation,
+            signatures=shape.signatures[vertices],
+            curvatures=shape.curvatures[vertices],
+        )
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return self.weights.size
+
+    def mirrored(self) -> SampledShape:
+        """Return the same shape with its orientation reversed: only the triple products change, by their sign."""
+        return replace(self, tensor=-self.tensor)
+
+    @memoize
+    def prefix_weights(self, count: int) -> NDArray[np.float64]:
+        """Return the area that falls to each of the first `count` samples, from the cells of all samples."""
+        return prefix_shares(self.distances, self.weights, count)
+
+    @memoize
+    def analysis(self, count: int, size: int) -> NDArray[np.float64]:
+        """Return (size, count): coefficients of a function from its values at samples, by weighted least squares."""
+        basis = self.functions[:count, :size]
+        weighted = basis * self.prefix_weights(count)[:, None]
+        gram = basis.T @ weighted
+        gram[np.diag_indices(size)] += 1e-9 * np.trace(gram) / size
+        return np.asarray(np.linalg.solve(gram, weighted.T), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -53,16 +111,22 @@ class SamplePair:
     target: SampledShape
     backend: Backend
 
-    def fit(self, level: Level) -> Level:
-        """Return `level` reduced to what small shapes have: no more samples than there are, at most half as many
+    @staticmethod
+    def of(source: Shape, target: Shape, backend: Backend) -> SamplePair:
+        """Bind two shapes."""
+        return SamplePair(SampledShape.of(source), SampledShape.of(target), backend)
+
+    def fit(self, size: int, queries: int, points: int) -> Level:
+        """Return a step reduced to what small shapes have: no more samples than there are, at most half as many
         functions as samples.
         """
-        queries = min(level.queries, self.target.count)
-        points = min(level.points, self.source.count)
-        largest = min(
-            self.source.functions.shape[1], self.target.functions.shape[1], max(queries // 2, 4), max(points // 2, 4)
-        )
-        return Level(min(level.size, largest), queries, points)
+        queries, points = min(queries, self.target.count), min(points, self.source.count)
+        functions = min(self.source.functions.shape[1], self.target.functions.shape[1])
+        return Level(min(size, functions, max(queries // 2, 4), max(points // 2, 4)), queries, points)
+
+    def fitted(self, level: Level) -> Level:
+        """Return `fit` of a step's sizes."""
+        return self.fit(level.size, level.queries, level.points)
 
     @memoize
     def points(self, count: int, size: int) -> tuple[Any, Any]:
@@ -107,6 +171,10 @@ class SamplePair:
         maps = self.backend.product(self.analysis(level.queries, size), pulled.reshape(level.queries, count * size))
         return maps.reshape(size, count, size)
 
+    def orientations(self, batch: Batch, products: int) -> NDArray[np.float64]:
+        """Return the orientation of every candidate (B,); see `orientation_scores`."""
+        return orientation_scores(batch.functional, self.source.tensor, self.target.tensor, products)
+
     def upload(self, functional: NDArray[np.floating]) -> Any:
         """Bring (B, k, k) functional maps to the backend, as (k, B, k)."""
         return self.backend.array(np.ascontiguousarray(functional.transpose(1, 0, 2)))
@@ -117,7 +185,7 @@ class SamplePair:
         return Batch(np.ascontiguousarray(values.transpose(1, 0, 2)), self.backend.numpy(index))
 
 
-def orthogonalised_batch(functional: NDArray[np.float32], steps: int = 8) -> NDArray[np.float32]:
+def polar_factors(functional: NDArray[np.float32], steps: int = 8) -> NDArray[np.float32]:
     """Bring functional maps (B, k, k) close to orthogonal by Newton–Schulz steps, C ← C (3 I − CᵀC) / 2.
 
     Singular values above about 0.05 end at 1; directions that a map does not carry at all stay small, instead of being
@@ -134,26 +202,27 @@ def orthogonalised_batch(functional: NDArray[np.float32], steps: int = 8) -> NDA
     return current
 
 
-def up_sample(
-    pair: SamplePair, functional: NDArray[np.floating], levels: Sequence[Level], *, orthogonal: bool = True
-) -> Batch:
-    """Return the candidates after one spectral up-sampling step a level (ZoomOut, Melzi et al. 2019).
+def up_sample(pair: SamplePair, functional: NDArray[np.floating], levels: Iterable[Level]) -> Batch:
+    """Return the candidates after one ZoomOut step a level.
+
+    Point maps are read from the polar factor of a functional map. An isometry's map is orthogonal; without it a step
+    that lets many samples fall onto few is repeated by the next, and parts stay folded.
 
     Parameters
     ----------
     functional : (B, k, k), where to start.
     levels : at each, the point maps are read from the current functional maps and give the next ones, of its size.
-    orthogonal : read point maps from the orthogonalised functional map. An isometry's map is orthogonal; without it a
-        step that lets many samples fall onto few is repeated by the next, and parts stay folded.
     """
-    fitted = [pair.fit(level) for level in levels]
-    current = functional
-    for level in fitted:
-        read = orthogonalised_batch(current.astype(np.float32, copy=False)) if orthogonal else current
-        index = pair.point_maps(pair.upload(read), level)
-        batch = pair.download(pair.functional_maps(index, level.size, level), index)
-        current = batch.functional
-    return batch
+
+    def read(batch: Batch, _: Any, level: Level) -> Any:
+        factors = polar_factors(batch.functional.astype(np.float32, copy=False))
+        return pair.point_maps(pair.upload(factors), level)
+
+    def fit(index: Any, level: Level) -> Batch:
+        return pair.download(pair.functional_maps(index, level.size, level), index)
+
+    start = Batch(np.asarray(functional), np.zeros((0, len(functional)), dtype=np.int32))
+    return zoomout([pair.fitted(level) for level in levels], read, fit, functional=start)[0]
 
 
 def distortions(

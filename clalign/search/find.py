@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -11,55 +10,54 @@ from numpy.typing import NDArray
 
 from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape
-from clalign.maps.orientation import orientation_scores
-from clalign.options import SearchOptions
-from clalign.search.batch import Batch, Level, SamplePair, least_distorted, up_sample
-from clalign.search.initial_maps import sign_patterns
-from clalign.search.sampled import SampledShape, sampled
-from clalign.search.score import Ranking, ranked
+from clalign.options import Orientation
+from clalign.rules import SearchRules
+from clalign.search.batch import Batch, SampledShape, SamplePair, least_distorted, up_sample
+from clalign.search.score import ranked
 from clalign.search.symmetries import composed, self_maps, unfolded_again, widened
-from clalign.search.tree import ORIENTED, PLAIN, grow
-
-LOG = logging.getLogger(__name__)
-
-KEPT_WIDE = 60
-CLOSED = 8
-SELF_MAPS = 4
-REFOLDED = 24
-FINALISTS = 24
-FINE_LEVELS = tuple(Level(size, 500, 1000) for size in (45, 50, 56, 63, 71, 80, 90, 100, 110, 120))
-LEAST_ORIENTATION = 0.5
+from clalign.search.tree import grow
 
 
 @dataclass(frozen=True)
-class SearchResult:
-    """The chosen map between samples, and its rivals.
+class Candidate:
+    """A map between samples that the search ends with.
 
     Attributes
     ----------
     functional : (k, k) float64, functional map from the source to the target.
-    score, orientation, confidence : of the chosen map; see `choice.Ranking`.
-    rivals : functional maps of the best different maps, best first.
-    rival_scores, rival_orientations, rival_distances : of the rivals.
-    mirrored : the map reverses the orientation (only with "reversing" or "any").
+    score : see `score.map_scores`; the lower the better.
+    orientation : in [−1, 1].
+    distance : mean geodesic distance to the chosen map, 0 for that itself, in units of sqrt(area).
     """
 
     functional: NDArray[np.float64]
     score: float
     orientation: float
-    confidence: float
-    rivals: tuple[NDArray[np.float64], ...]
-    rival_scores: tuple[float, ...]
-    rival_orientations: tuple[float, ...]
-    rival_distances: tuple[float, ...]
-    mirrored: bool = False
+    distance: float
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What the search has found.
+
+    Attributes
+    ----------
+    chosen : the best map.
+    alternatives : the best different maps, best first.
+    margin : ln of the first alternative's score over the chosen one's; infinite without one.
+    """
+
+    chosen: Candidate
+    alternatives: tuple[Candidate, ...]
+    margin: float
 
 
 def find_isometry(
     source: Shape,
     target: Shape,
+    orientation: Orientation,
+    rules: SearchRules,
     backend: Backend,
-    options: SearchOptions,
     progress: Callable[[float], None] | None = None,
 ) -> SearchResult:
     """Search for the (near-)isometry between two shapes.
@@ -67,102 +65,71 @@ def find_isometry(
     Parameters
     ----------
     source, target : prepared shapes.
+    orientation : "preserving", "reversing" or "any", which takes the better of both.
+    rules : of the search.
     backend : where the batches of candidates are evaluated.
-    options : `method` "tree" or "signs"; `orientation` "preserving", "reversing" or "any".
     progress : called with a fraction in [0, 1].
-
-    Returns
-    -------
-    SearchResult
     """
-    source_samples, target_samples = sampled(source), sampled(target)
+    report = progress or (lambda fraction: None)
+    samples_x, samples_y = SampledShape.of(source), SampledShape.of(target)
     results = []
-    if options.orientation in ("preserving", "any"):
-        results.append(_search(source_samples, target_samples, backend, options, progress))
-    if options.orientation in ("reversing", "any"):
-        mirrored = _search(source_samples, target_samples.mirrored(), backend, options, progress)
-        results.append(replace(mirrored, orientation=-mirrored.orientation, mirrored=True))
-    return min(results, key=lambda result: result.score)
+    if orientation in ("preserving", "any"):
+        results.append(_search(SamplePair(samples_x, samples_y, backend), rules, report))
+    if orientation in ("reversing", "any"):
+        found = _search(SamplePair(samples_x, samples_y.mirrored(), backend), rules, report)
+        results.append(replace(found, chosen=_mirrored(found.chosen)))
+    return min(results, key=lambda result: result.chosen.score)
 
 
-def _search(
-    source: SampledShape,
-    target: SampledShape,
-    backend: Backend,
-    options: SearchOptions,
-    progress: Callable[[float], None] | None,
-) -> SearchResult:
-    def report(fraction: float) -> None:
-        if progress is not None:
-            progress(fraction)
+def _mirrored(candidate: Candidate) -> Candidate:
+    return replace(candidate, orientation=-candidate.orientation)
 
-    pair = SamplePair(source, target, backend)
-    if options.method == "signs":
-        candidates = _sign_candidates(pair)
-    else:
-        candidates = _tree_candidates(pair, report)
+
+def _search(pair: SamplePair, rules: SearchRules, report: Callable[[float], None]) -> SearchResult:
+    candidates = _tree_candidates(pair, rules, report)
     report(0.8)
-    fine = up_sample(pair, candidates, FINE_LEVELS)
-    ranking = ranked(pair, fine, pair.fit(FINE_LEVELS[-1]).points, LEAST_ORIENTATION)
+    fine = up_sample(pair, candidates, rules.fine)
+    ranking = ranked(pair, fine, pair.fitted(rules.fine.last).points, rules)
     report(1.0)
-    return _result(ranking)
+    chosen, *others = (
+        Candidate(
+            ranking.batch.functional[index].astype(np.float64),
+            float(ranking.scores[index]),
+            float(ranking.orientation[index]),
+            distance,
+        )
+        for index, distance in zip(ranking.distinct, ranking.distances, strict=True)
+    )
+    return SearchResult(chosen, tuple(others), ranking.margin)
 
 
-def _sign_candidates(pair: SamplePair) -> NDArray[np.float32]:
-    """Return candidates of plain sign enumeration: enough for two poses of one body."""
-    size = pair.fit(Level(9, 200, 400)).size
-    batch = widened(pair, sign_patterns(min(9, size)), KEPT_WIDE)
-    return _best(pair, batch, FINALISTS).functional
-
-
-def _tree_candidates(pair: SamplePair, report: Callable[[float], None]) -> NDArray[np.float32]:
-    """Return candidates of both trees, closed under self-maps and unfolded once more."""
-    backend = pair.backend
-    oriented = grow(pair, ORIENTED)
+def _tree_candidates(pair: SamplePair, rules: SearchRules, report: Callable[[float], None]) -> NDArray[np.float32]:
+    """Return candidates of both trees, composed with self-maps and unfolded once more."""
+    oriented = grow(pair, rules.oriented, rules)
     report(0.15)
-    plain = grow(pair, PLAIN)
+    plain = grow(pair, rules.plain, rules)
     report(0.3)
-    wide = widened(pair, _joined([oriented, plain]), KEPT_WIDE)
-    own_source = self_maps(SamplePair(pair.source, pair.source, backend), SELF_MAPS)
-    own_target = self_maps(SamplePair(pair.target, pair.target, backend), SELF_MAPS)
+    wide = widened(pair, _joined([oriented, plain]), rules.wide_most, rules)
+    own_source = self_maps(SamplePair(pair.source, pair.source, pair.backend), rules)
+    own_target = self_maps(SamplePair(pair.target, pair.target, pair.backend), rules)
     report(0.5)
-    closed = composed(wide.functional[:CLOSED], own_source, own_target)
-    refolded = unfolded_again(pair, wide.functional[:REFOLDED], ORIENTED.strengths)
+    compositions = composed(wide.functional[: rules.composed], own_source, own_target)
+    unfolded = unfolded_again(pair, wide.functional[: rules.unfolded_again], rules)
+    grown = [up_sample(pair, batch.functional, [rules.unfold_join]) for batch in unfolded if batch.count]
+    again = [widened(pair, _joined(grown), rules.wide_most, rules)] if grown else []
     size = wide.functional.shape[1]
-    grown = [up_sample(pair, batch.functional, [Level(20, 150, 300)]) for batch in refolded if batch.count]
-    again = widened(pair, _joined(grown), KEPT_WIDE) if grown else None
-    closed_wide = widened(pair, closed, KEPT_WIDE)
-    parts = [wide, closed_wide] if again is None else [wide, closed_wide, again]
+    parts = [wide, widened(pair, compositions, rules.wide_most, rules), *again]
     union = np.concatenate([part.functional for part in parts if part.functional.shape[1] == size])
     report(0.65)
-    final = up_sample(pair, union, [Level(40, 200, 600)])
-    scores = orientation_scores(final.functional, pair.source.tensor, pair.target.tensor)
-    kept = scores > 0.4
-    final = final.take(kept if kept.any() else scores >= np.sort(scores)[-FINALISTS:][0])
-    return _best(pair, final, FINALISTS).functional
-
-
-def _best(pair: SamplePair, batch: Batch, most: int) -> Batch:
-    """Return the candidates of least distortion, without duplicates."""
-    return least_distorted(pair, batch, pair.fit(Level(40, 200, 600)).points, 0.02, most)
+    final = up_sample(pair, union, [rules.joined])
+    scores = pair.orientations(final, rules.scored_products)
+    kept = scores > rules.joined_orientation
+    final = final.take(kept if kept.any() else scores >= np.sort(scores)[-rules.finalists :][0])
+    points = pair.fitted(rules.joined).points
+    return least_distorted(pair, final, points, rules.wide_radius, rules.finalists).functional
 
 
 def _joined(batches: list[Batch]) -> NDArray[np.float32]:
     """Return the functional maps of several batches, cut to the smallest size among them."""
     size = min(batch.functional.shape[1] for batch in batches)
     return np.concatenate([batch.functional[:, :size, :size] for batch in batches])
-
-
-def _result(ranking: Ranking) -> SearchResult:
-    maps = ranking.batch.functional.astype(np.float64)
-    rivals = ranking.rivals[1:]
-    return SearchResult(
-        functional=maps[0],
-        score=float(ranking.scores[0]),
-        orientation=float(ranking.orientation[0]),
-        confidence=ranking.confidence,
-        rivals=tuple(maps[rival] for rival in rivals),
-        rival_scores=tuple(float(ranking.scores[rival]) for rival in rivals),
-        rival_orientations=tuple(float(ranking.orientation[rival]) for rival in rivals),
-        rival_distances=ranking.rival_distances[1:],
-    )

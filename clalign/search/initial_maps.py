@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.maps.orientation import carried_products, index_pairs, orientation_scores
-from clalign.search.batch import Batch, Level, SamplePair, up_sample
-
-UNFOLD_LEVEL = Level(16, 200, 400)
-STEP_LEVEL = Level(16, 150, 300)
-TRIPLE_PRODUCTS_UP_TO = 6
+from clalign.maps.orientation import carried_products, index_pairs
+from clalign.rules import SearchRules
+from clalign.search.batch import Batch, SamplePair, up_sample
 
 
 def sign_patterns(size: int) -> NDArray[np.float32]:
@@ -22,7 +19,7 @@ def sign_patterns(size: int) -> NDArray[np.float32]:
     return maps
 
 
-def unfold(pair: SamplePair, blocks: NDArray[np.float32], strength: float) -> NDArray[np.float32]:
+def unfold(pair: SamplePair, blocks: NDArray[np.float32], strength: float, rules: SearchRules) -> NDArray[np.float32]:
     """Return the functional maps of the point maps that carry low functions *and* their triple products.
 
     The low eigenfunctions of a thin body are even from its front to its back, so matching them alone fixes a map only
@@ -38,11 +35,11 @@ def unfold(pair: SamplePair, blocks: NDArray[np.float32], strength: float) -> ND
     -------
     (B, k, k) float32 with k = 16 (fewer on small shapes).
     """
-    level = pair.fit(UNFOLD_LEVEL)
+    level = pair.fitted(rules.unfold)
     low = blocks.shape[1]
     size = min(pair.source.tensor.shape[0], pair.source.functions.shape[1])
     size_y = min(pair.target.tensor.shape[0], pair.target.functions.shape[1])
-    pairs = index_pairs(1, min(TRIPLE_PRODUCTS_UP_TO, low - 1))
+    pairs = index_pairs(1, min(rules.triple_products, low - 1))
     weights = pair.source.prefix_weights(level.points)
 
     coefficients = pair.source.tensor[pairs[:, 0], pairs[:, 1], :size]
@@ -69,11 +66,10 @@ def unfold(pair: SamplePair, blocks: NDArray[np.float32], strength: float) -> ND
     return pair.download(functional, index).functional
 
 
-def oriented_starts(
-    pair: SamplePair, blocks: NDArray[np.float32], strengths: tuple[float, ...], least_orientation: float = 0.0
+def oriented_initial_maps(
+    pair: SamplePair, blocks: NDArray[np.float32], strengths: tuple[float, ...], rules: SearchRules
 ) -> Batch:
-    """Unfold every block at every strength, take two up-sampling steps, and drop what is mirrored."""
-    started = np.concatenate([unfold(pair, blocks, strength) for strength in strengths])
-    batch = up_sample(pair, started, [STEP_LEVEL, STEP_LEVEL])
-    scores = orientation_scores(batch.functional, pair.source.tensor, pair.target.tensor)
-    return batch.take(scores > least_orientation)
+    """Unfold every block at every strength, settle by ZoomOut steps, and drop what is mirrored."""
+    started = np.concatenate([unfold(pair, blocks, strength, rules) for strength in strengths])
+    batch = up_sample(pair, started, rules.settle)
+    return batch.take(pair.orientations(batch, rules.scored_products) > 0)

@@ -5,34 +5,32 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.search.batch import Batch, Level, SamplePair, least_distorted, up_sample
-from clalign.search.initial_maps import oriented_starts
-from clalign.search.tree import PLAIN, grow
-
-WIDE_LEVELS = tuple(Level(size, 200, 600) for size in (22, 25, 28, 32, 36, 40, 40))
-NOT_THE_IDENTITY = 0.1
-REFOLD_SIZES = (9, 12, 16)
+from clalign.rules import SearchRules
+from clalign.search.batch import Batch, SamplePair, least_distorted, up_sample
+from clalign.search.initial_maps import oriented_initial_maps
+from clalign.search.tree import grow
 
 
-def widened(pair: SamplePair, functional: NDArray[np.float32], most: int, radius: float = 0.02) -> Batch:
-    """Up-sample candidates to 40 functions and drop duplicates, best distortion first."""
-    batch = up_sample(pair, functional, WIDE_LEVELS)
-    return least_distorted(pair, batch, pair.fit(WIDE_LEVELS[-1]).points, radius, most, among=3 * most)
+def widened(pair: SamplePair, functional: NDArray[np.float32], most: int, rules: SearchRules) -> Batch:
+    """Bring candidates to the size at which they are compared and drop duplicates, least distortion first."""
+    batch = up_sample(pair, functional, rules.wide)
+    points = pair.fitted(rules.wide.last).points
+    return least_distorted(pair, batch, points, rules.wide_radius, most, among=rules.wide_among * most)
 
 
-def self_maps(pair: SamplePair, most: int) -> NDArray[np.float32]:
-    """Return the best non-identical maps of a shape to itself, (B, k, k), at 40 functions.
+def self_maps(pair: SamplePair, rules: SearchRules) -> NDArray[np.float32]:
+    """Return the best non-identical maps of a shape to itself, (B, k, k), of the size of `widened`.
 
     Parameters
     ----------
     pair : a shape paired with itself.
     """
-    batch = widened(pair, grow(pair, PLAIN).functional, 4 * most)
+    batch = widened(pair, grow(pair, rules.plain, rules).functional, 4 * rules.self_maps, rules)
     queries = batch.index.shape[0]
     own = np.arange(queries)
     distances = pair.source.distances[batch.index, own[:, None]]
     moved = pair.target.prefix_weights(queries) @ distances
-    return batch.functional[moved > NOT_THE_IDENTITY][:most]
+    return batch.functional[moved > rules.not_identity][: rules.self_maps]
 
 
 def composed(
@@ -50,14 +48,14 @@ def composed(
     return np.concatenate(results).astype(np.float32)
 
 
-def unfolded_again(pair: SamplePair, functional: NDArray[np.float32], strengths: tuple[float, ...]) -> list[Batch]:
+def unfolded_again(pair: SamplePair, functional: NDArray[np.float32], rules: SearchRules) -> list[Batch]:
     """Unfold the leading blocks of candidates once more.
 
     It repairs a candidate whose parts are folded to different sides (legs right, torso front to back).
     """
     results = []
-    for size in REFOLD_SIZES:
+    for size in rules.unfold_sizes:
         if size <= functional.shape[1]:
             blocks = np.ascontiguousarray(functional[:, :size, :size])
-            results.append(oriented_starts(pair, blocks, strengths))
+            results.append(oriented_initial_maps(pair, blocks, rules.oriented.strengths, rules))
     return results

@@ -1,4 +1,4 @@
-"""Rounds of L-BFGS between refreshed hard maps."""
+"""Outer iterations of L-BFGS between renewed hard maps."""
 
 from __future__ import annotations
 
@@ -8,39 +8,37 @@ from typing import Any
 
 import numpy as np
 import pytest
-from interrupted import masked_interrupt
 from prepared import Bound
 
-from clalign.alignment.alternation import optimise_rotation, read_out
-from clalign.alignment.objective import AlignmentProblem, Evaluation
+from clalign.alignment.alternation import finished, optimised_rotation, outer_iterations
+from clalign.alignment.objective import Evaluation, Objective
+from clalign.alignment.readout import read_out
 
-ROUNDS = {"alignment.rounds": 4, "alignment.iterations": 12, "alignment.decay": 1.0}
+ROUNDS = {"alignment.outer_iterations": 4, "alignment.iterations": 12, "alignment.decay": 1.0}
 
 
-def objective(problem: AlignmentProblem, rotation: Any, readout: Any = "aligned") -> float:
+def objective(problem: Objective, rotation: Any, readout: Any = "aligned") -> float:
     """Return the objective of R with its own hard map, at the first round's weight."""
-    frozen = problem.start_round(
-        rotation, read_out(problem, rotation, readout).target_of_source, problem.options.weight
-    )
-    return problem.value_and_gradient(problem.pack(rotation), frozen).total
+    fixed = problem.fix(rotation, read_out(problem, rotation, readout).target_of_source, problem.options.weight)
+    return problem.value_and_gradient(problem.pack(rotation), fixed).total
 
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"alignment.cycle": True}, {"alignment.sides": "one"}, {"alignment.denominator": "frozen"}],
-    ids=["plain", "cycle", "one-sided", "frozen"],
+    [{}, {"alignment.cycle": True}, {"alignment.sides": "one"}, {"alignment.denominator": "fixed"}],
+    ids=["plain", "cycle", "one-sided", "fixed"],
 )
 def test_no_round_ends_above_its_start(
     bind_small: Callable[..., Bound], rng: np.random.Generator, changes: dict[str, Any]
 ) -> None:
     problem, rotation, _ = bind_small({**ROUNDS, **changes})
     start = problem.unpack(problem.pack(rotation) + 0.03 * rng.normal(size=problem.band.count))
-    found = optimise_rotation(problem, start, "aligned")
+    found = optimised_rotation(problem, start, "aligned")
     assert found.losses["total"] < objective(problem, start)
     assert objective(problem, found.rotation) == pytest.approx(found.losses["total"], rel=1e-9)
     totals = {
         number: [entry["total"] for entry in entries]
-        for number, entries in groupby(found.history, key=lambda entry: entry["round"])
+        for number, entries in groupby(found.history, key=lambda entry: entry["outer_iteration"])
     }
     assert list(totals) == list(range(len(totals)))
     assert all(min(values) <= values[0] for values in totals.values())
@@ -63,16 +61,16 @@ def test_embeddings_on_the_backend_are_those_of_the_host(bind_small: Callable[..
 def test_no_point_of_a_round_is_evaluated_twice(
     bind_small: Callable[..., Bound], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem, rotation, _ = bind_small({**ROUNDS, "alignment.rounds": 1})
+    problem, rotation, _ = bind_small({**ROUNDS, "alignment.outer_iterations": 1})
     plain, seen = problem.value_and_gradient, []
 
-    def counted(x: Any, frozen: Any) -> Evaluation:
-        seen.append((x.copy(), frozen))
-        return plain(x, frozen)
+    def counted(x: Any, fixed: Any) -> Evaluation:
+        seen.append((x.copy(), fixed))
+        return plain(x, fixed)
 
     monkeypatch.setattr(problem, "value_and_gradient", counted)
-    found = optimise_rotation(problem, rotation, "aligned")
-    at_start = [x for x, frozen in seen if frozen is seen[0][1] and np.array_equal(x, seen[0][0])]
+    found = optimised_rotation(problem, rotation, "aligned")
+    at_start = [x for x, fixed in seen if fixed is seen[0][1] and np.array_equal(x, seen[0][0])]
     assert len(at_start) == 1
     # The start is in the history all the same; the refreshed end of the round and the result are not.
     assert len(seen) == len(found.history) + 2
@@ -80,8 +78,8 @@ def test_no_point_of_a_round_is_evaluated_twice(
 
 def test_the_map_is_that_of_the_rotation(bind_small: Callable[..., Bound]) -> None:
     problem, rotation, _ = bind_small(ROUNDS)
-    for readout in ("aligned", "functional", "argmax"):
-        found = optimise_rotation(problem, rotation, readout)
+    for readout in ("aligned", "argmax"):
+        found = optimised_rotation(problem, rotation, readout)
         expected = read_out(problem, found.rotation, readout)
         np.testing.assert_array_equal(found.maps.target_of_source, expected.target_of_source)
         np.testing.assert_array_equal(found.maps.source_of_target, expected.source_of_target)
@@ -92,25 +90,25 @@ def test_a_round_that_gains_nothing_is_undone(
 ) -> None:
     """Each refreshed hard map makes the objective worse by more than a round can gain."""
     problem, rotation, _ = bind_small(ROUNDS)
-    plain_start, plain_value = problem.start_round, problem.value_and_gradient
+    plain_start, plain_value = problem.fix, problem.value_and_gradient
     refreshed: list[Any] = []
 
-    def start_round(*arguments: Any) -> Any:
+    def fix(*arguments: Any) -> Any:
         refreshed.append(plain_start(*arguments))
         return refreshed[-1]
 
-    def penalised(x: Any, frozen: Any) -> Evaluation:
-        evaluation = plain_value(x, frozen)
-        penalty = 100.0 * next(number for number, made in enumerate(refreshed) if made.gram_cross is frozen.gram_cross)
+    def penalised(x: Any, fixed: Any) -> Evaluation:
+        evaluation = plain_value(x, fixed)
+        penalty = 100.0 * next(number for number, made in enumerate(refreshed) if made.gram_cross is fixed.gram_cross)
         return Evaluation(evaluation.total + penalty, evaluation.terms, evaluation.gradient)
 
-    monkeypatch.setattr(problem, "start_round", start_round)
+    monkeypatch.setattr(problem, "fix", fix)
     monkeypatch.setattr(problem, "value_and_gradient", penalised)
     start = problem.unpack(problem.pack(rotation) + 0.03 * rng.normal(size=problem.band.count))
-    found = optimise_rotation(problem, start, "aligned")
+    found = optimised_rotation(problem, start, "aligned")
     np.testing.assert_array_equal(found.rotation, start)
     assert found.status == "converged"
-    assert {entry["round"] for entry in found.history} == {0}
+    assert {entry["outer_iteration"] for entry in found.history} == {0}
     # The round itself did go down.
     assert found.history[-1]["total"] < found.history[0]["total"]
 
@@ -118,42 +116,44 @@ def test_a_round_that_gains_nothing_is_undone(
 def test_weight_falls_from_round_to_round(bind_small: Callable[..., Bound], rng: np.random.Generator) -> None:
     problem, rotation, _ = bind_small({**ROUNDS, "alignment.decay": 0.1, "alignment.unitarity": 0.0})
     start = problem.unpack(problem.pack(rotation) + 0.03 * rng.normal(size=problem.band.count))
-    found = optimise_rotation(problem, start, "aligned")
+    found = optimised_rotation(problem, start, "aligned")
     weights = {}
     for entry in found.history:
-        weights[entry["round"]] = (entry["total"] - entry["align"]) / entry["unsup"]
+        weights[entry["outer_iteration"]] = (entry["total"] - entry["align"]) / entry["unsup"]
     assert len(weights) > 1
     for number, weight in weights.items():
         assert weight == pytest.approx(200.0 * 0.1**number, rel=1e-6)
 
 
 @pytest.mark.parametrize(
-    "changes", [{"alignment.rounds": 0}, {"alignment.iterations": 0}], ids=["rounds", "iterations"]
+    "changes", [{"alignment.outer_iterations": 0}, {"alignment.iterations": 0}], ids=["rounds", "iterations"]
 )
 def test_without_optimisation_the_start_stays(bind_small: Callable[..., Bound], changes: dict[str, Any]) -> None:
     problem, rotation, _ = bind_small({**ROUNDS, **changes})
-    found = optimise_rotation(problem, rotation, "aligned")
+    found = optimised_rotation(problem, rotation, "aligned")
     np.testing.assert_array_equal(found.rotation, rotation)
     assert found.losses["total"] == pytest.approx(objective(problem, rotation), rel=1e-12)
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), masked_interrupt()], ids=["plain", "masked"])
-def test_an_interrupt_keeps_the_best_so_far(
-    bind_small: Callable[..., Bound], rng: np.random.Generator, error: BaseException
+def test_what_an_outer_iteration_has_reached_can_be_gone_on_with(
+    bind_small: Callable[..., Bound], rng: np.random.Generator
 ) -> None:
+    """An interrupt inside an iteration loses that one only: the state before it is in the caller's hands."""
     problem, rotation, _ = bind_small(ROUNDS)
     start = problem.unpack(problem.pack(rotation) + 0.03 * rng.normal(size=problem.band.count))
-    seen: list[float] = []
 
     def stop(number: int, evaluation: Evaluation) -> None:
-        seen.append(evaluation.total)
-        if len(seen) == 9:
-            raise error
+        if number == 2:
+            raise KeyboardInterrupt
 
-    found = optimise_rotation(problem, start, "aligned", stop)
-    assert found.status == "interrupted"
-    assert len(found.history) == 9
-    assert found.losses["total"] < seen[0]
+    states = []
+    with pytest.raises(KeyboardInterrupt):
+        states.extend(outer_iterations(problem, start, "aligned", stop))
+    assert len(states) == 3
+    np.testing.assert_array_equal(states[0].rotation, start)
+    kept = finished(problem, states[-1], "aligned")
+    assert kept.losses["total"] < objective(problem, start)
+    assert {entry["outer_iteration"] for entry in kept.history} == {0, 1}
 
 
 def test_an_objective_that_is_never_finite_keeps_the_start(
@@ -162,20 +162,20 @@ def test_an_objective_that_is_never_finite_keeps_the_start(
     problem, rotation, _ = bind_small(ROUNDS)
     plain = problem.value_and_gradient
 
-    def broken(x: Any, frozen: Any) -> Evaluation:
-        evaluation = plain(x, frozen)
+    def broken(x: Any, fixed: Any) -> Evaluation:
+        evaluation = plain(x, fixed)
         return Evaluation(float("nan"), evaluation.terms, np.full_like(evaluation.gradient, np.nan))
 
     monkeypatch.setattr(problem, "value_and_gradient", broken)
-    found = optimise_rotation(problem, rotation, "aligned")
+    found = optimised_rotation(problem, rotation, "aligned")
     np.testing.assert_array_equal(found.rotation, rotation)
     assert found.status == "failed"
 
 
 def test_the_loss_of_the_result_has_the_weight_of_the_last_round(bind_small: Callable[..., Bound]) -> None:
     """As the last points of the history, which a page draws beside it."""
-    problem, rotation, _ = bind_small({**ROUNDS, "alignment.rounds": 1, "alignment.weight": 70.0})
-    found = optimise_rotation(problem, rotation, "aligned")
+    problem, rotation, _ = bind_small({**ROUNDS, "alignment.outer_iterations": 1, "alignment.weight": 70.0})
+    found = optimised_rotation(problem, rotation, "aligned")
     losses = found.losses
     total = losses["align"] + 70.0 * losses["unsup"] + problem.options.unitarity * losses["unitarity"]
     assert losses["total"] == pytest.approx(total, rel=1e-9)

@@ -5,20 +5,23 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import pytest
 from prepared import MIDDLE, PreparedPair
 
-from clalign.alignment import metric
 from clalign.alignment.band import funnel_band
-from clalign.alignment.metric import EXPONENTS, choose_metric
+from clalign.alignment.metric import choose_metric
 from clalign.engine import Reference
 from clalign.geometry.shape import with_descriptors
-from clalign.maps.functional_maps import PointMaps
+from clalign.maps.point_maps import PointMaps
+from clalign.rules import AlignmentRules
+
+EXPONENTS = AlignmentRules().exponents
 
 
-def chosen(pair: PreparedPair, maps: PointMaps) -> tuple[float, np.ndarray]:
+def chosen(pair: PreparedPair, maps: PointMaps, rules: AlignmentRules | None = None) -> tuple[float, np.ndarray]:
     band = funnel_band(40, MIDDLE.alignment)
-    source, _, exponent = choose_metric(Reference(), pair.source, pair.target, maps, band, MIDDLE.spectrum)
+    source, _, exponent = choose_metric(
+        pair.source, pair.target, maps, band, MIDDLE.spectrum, rules or AlignmentRules(), Reference()
+    )
     return exponent, source.descriptors.eigenvalues
 
 
@@ -34,6 +37,5 @@ def test_a_map_without_sense_gets_the_smallest(middle: PreparedPair, rng: np.ran
     assert chosen(middle, maps)[0] == EXPONENTS[-1]
 
 
-def test_the_gate_decides(middle: PreparedPair, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metric, "LEAST_SINGULAR_VALUE", 2.0)
-    assert chosen(middle, middle.truth)[0] == EXPONENTS[-1]
+def test_the_gate_decides(middle: PreparedPair) -> None:
+    assert chosen(middle, middle.truth, AlignmentRules(least_singular_value=2.0))[0] == EXPONENTS[-1]

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dense_losses import DenseTerms
 from numpy.typing import NDArray
 from prepared import MIDDLE, SMALL, Bound, PreparedPair, bound, prepared_pair, tiny_pair
 from shapes import Pair
 
-from clalign.alignment import soft_map as soft_forms
-from clalign.alignment.dense import DenseProblem
-from clalign.alignment.objective import AlignmentProblem, Evaluation, Round
-from clalign.alignment.soft_map import QuadraticForm, StreamedForm, evaluation_cost, streaming_pays
+from clalign.alignment import soft_map
+from clalign.alignment.losses import CycleLoss, DistortionLoss, FixedCorrespondence
+from clalign.alignment.objective import Evaluation, Objective
+from clalign.alignment.soft_map import MomentsSoftMap, StreamedSoftMap, evaluation_cost, streaming_pays
 from clalign.engine import Backend, Reference
-from clalign.errors import OptionError
 from clalign.geometry.shape import Shape
 from clalign.options import Options
 
@@ -29,16 +29,15 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "uniform": {"alignment.weights": "uniform"},
     "uniform cycle": {"alignment.weights": "uniform", "alignment.cycle": True},
     "unitarity": {"alignment.unitarity": 3.0},
-    "frozen denominator": {"alignment.denominator": "frozen"},
+    "fixed denominator": {"alignment.denominator": "fixed"},
     "differentiated denominator": {"alignment.denominator": "differentiated"},
-    "frozen one-sided": {"alignment.denominator": "frozen", "alignment.sides": "one"},
+    "fixed one-sided": {"alignment.denominator": "fixed", "alignment.sides": "one"},
     "all vertices": {"alignment.samples": 0},
     "dense R": {"alignment.band": "none"},
     "diagonal R": {"alignment.band": "diagonal"},
-    "literal": {"alignment.distances": "dense"},
-    "literal cycle": {"alignment.distances": "dense", "alignment.cycle": True},
+    "literal": {},
+    "literal cycle": {"alignment.cycle": True},
     "literal uniform cycle": {
-        "alignment.distances": "dense",
         "alignment.cycle": True,
         "alignment.weights": "uniform",
         "alignment.samples": 0,
@@ -46,22 +45,29 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 
 
-def started(pair: Bound, rng: np.random.Generator, weight: float = 200.0) -> tuple[Round, NDArray[np.float64]]:
-    """Return a frozen round and a point beside its start, so that no term is stationary."""
-    frozen = pair.problem.start_round(pair.rotation, pair.truth.target_of_source, weight)
+def started(
+    pair: Bound, rng: np.random.Generator, weight: float = 200.0
+) -> tuple[FixedCorrespondence, NDArray[np.float64]]:
+    """Return a fixed correspondence and a point beside its start, so that no term is stationary."""
+    fixed = pair.problem.fix(pair.rotation, pair.truth.target_of_source, weight)
     x = pair.problem.pack(pair.rotation)
-    return frozen, x + 0.02 * rng.normal(size=x.size)
+    return fixed, x + 0.02 * rng.normal(size=x.size)
+
+
+def soft_map_of(pair: Bound) -> object:
+    """Return the soft map from X to Y of Eq. 22."""
+    terms = pair.problem.distances
+    assert isinstance(terms, DistortionLoss)
+    return terms._soft_map
 
 
 @pytest.fixture
 def streaming(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Choose the form of the soft map by the parameter, whatever it costs."""
-    monkeypatch.setattr(soft_forms, "streaming_pays", lambda *_: request.param)
+    monkeypatch.setattr(soft_map, "streaming_pays", lambda *_: request.param)
 
 
-STREAMED = [
-    name for name, changes in VARIANTS.items() if not changes.keys() & {"alignment.cycle", "alignment.distances"}
-]
+STREAMED = [name for name, changes in VARIANTS.items() if "alignment.cycle" not in changes and name != "literal"]
 BOTH_FORMS = [*((name, False) for name in VARIANTS), *((name, True) for name in STREAMED)]
 
 
@@ -70,15 +76,15 @@ BOTH_FORMS = [*((name, False) for name in VARIANTS), *((name, True) for name in 
 def test_gradient_is_the_slope_of_the_value(
     bind_small: Callable[..., Bound], rng: np.random.Generator, name: str
 ) -> None:
-    pair = bind_small(VARIANTS[name])
-    frozen, x = started(pair, rng)
-    gradient = pair.problem.value_and_gradient(x, frozen).gradient
+    pair = bind_small(VARIANTS[name], dense=name.startswith("literal"))
+    fixed, x = started(pair, rng)
+    gradient = pair.problem.value_and_gradient(x, fixed).gradient
     assert np.linalg.norm(gradient) > 1e-6
     step = 1e-5
     for _ in range(3):
         direction = rng.normal(size=x.size)
         ahead, behind = (
-            pair.problem.value_and_gradient(x + sign * step * direction, frozen).total for sign in (1.0, -1.0)
+            pair.problem.value_and_gradient(x + sign * step * direction, fixed).total for sign in (1.0, -1.0)
         )
         slope = (ahead - behind) / (2 * step)
         assert slope == pytest.approx(gradient @ direction, rel=1e-5, abs=1e-7 * np.linalg.norm(gradient))
@@ -89,11 +95,11 @@ def test_both_forms_of_the_soft_map_give_the_same_objective(
     bind_small: Callable[..., Bound], monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     def evaluate(streamed: bool) -> Evaluation:
-        monkeypatch.setattr(soft_forms, "streaming_pays", lambda *_: streamed)
+        monkeypatch.setattr(soft_map, "streaming_pays", lambda *_: streamed)
         pair = bind_small(VARIANTS[name])
-        assert isinstance(pair.problem._form_y, StreamedForm if streamed else QuadraticForm)
-        frozen, x = started(pair, np.random.default_rng(3))
-        return pair.problem.value_and_gradient(x, frozen)
+        assert isinstance(soft_map_of(pair), StreamedSoftMap if streamed else MomentsSoftMap)
+        fixed, x = started(pair, np.random.default_rng(3))
+        return pair.problem.value_and_gradient(x, fixed)
 
     streamed, quadratic = evaluate(True), evaluate(False)
     assert streamed.terms["unsup"] == pytest.approx(quadratic.terms["unsup"], rel=1e-10)
@@ -106,12 +112,14 @@ def test_the_form_of_the_soft_map_is_the_one_of_fewer_operations(
 ) -> None:
     # With 50 samples, 16 functions and rank 20: 2 · 136 · 20 operations a row against 162 · (3 · 16 + 2 · 20).
     assert evaluation_cost(50, 162, 16, 20) == (50 * 2 * 136 * 20, 50 * 162 * (3 * 16 + 2 * 20))
-    assert isinstance(bound(small, SMALL).problem._form_y, QuadraticForm)
+    assert isinstance(soft_map_of(bound(small, SMALL)), MomentsSoftMap)
     many = SMALL.replace({"spectrum.basis": 50, "spectrum.refinement": 50, "spectrum.descriptors": 60})
     prepared = prepared_pair(tiny_pair(), many)
-    assert isinstance(bound(prepared, many.replace({"alignment.cycle": True})).problem._form_y, QuadraticForm)
+    cycle = bound(prepared, many.replace({"alignment.cycle": True})).problem.distances
+    assert isinstance(cycle, CycleLoss)
+    assert isinstance(cycle._distortion._soft_map, MomentsSoftMap)
     monkeypatch.setattr(Reference, "packed_moments", lambda *_: pytest.fail("moments that nobody reads"))
-    assert isinstance(bound(prepared, many).problem._form_y, StreamedForm)
+    assert isinstance(soft_map_of(bound(prepared, many)), StreamedSoftMap)
 
 
 def test_streaming_pays_for_many_functions_and_few_vertices() -> None:
@@ -125,10 +133,7 @@ def test_streaming_pays_for_many_functions_and_few_vertices() -> None:
 @pytest.mark.parametrize(
     ("name", "streaming"),
     [
-        *(
-            (name, False)
-            for name in ("plain", "cycle", "one-sided", "uniform cycle", "frozen denominator", "unitarity")
-        ),
+        *((name, False) for name in ("plain", "cycle", "one-sided", "uniform cycle", "fixed denominator", "unitarity")),
         ("plain", True),
         ("uniform", True),
     ],
@@ -139,10 +144,10 @@ def test_single_precision_kernels_agree_with_the_reference(
     bind_small: Callable[..., Bound], rng: np.random.Generator, kernels: Backend, name: str
 ) -> None:
     exact, single = bind_small(VARIANTS[name]), bind_small(VARIANTS[name], kernels)
-    frozen, x = started(exact, rng)
-    truth = exact.problem.value_and_gradient(x, frozen)
-    frozen, _ = started(single, rng)
-    result = single.problem.value_and_gradient(x, frozen)
+    fixed, x = started(exact, rng)
+    truth = exact.problem.value_and_gradient(x, fixed)
+    fixed, _ = started(single, rng)
+    result = single.problem.value_and_gradient(x, fixed)
     assert result.total == pytest.approx(truth.total, rel=1e-3)
     assert result.terms.keys() == truth.terms.keys()
     for term, value in truth.terms.items():
@@ -153,23 +158,22 @@ def test_single_precision_kernels_agree_with_the_reference(
     )
 
 
-@pytest.mark.parametrize("distances", ["factors", "dense"])
+@pytest.mark.parametrize("dense", [False, True])
 def test_a_vertex_without_functions_leaves_the_gradient_finite(
-    bind_small: Callable[..., Bound], rng: np.random.Generator, distances: str
+    bind_small: Callable[..., Bound], rng: np.random.Generator, dense: bool
 ) -> None:
     """A row φ_j = 0 gives c_j = 0 and s_j = 0: its column of the soft map is 0, and so is its slope."""
-    pair = bind_small({"alignment.cycle": True, "alignment.distances": distances})
-    source, target = pair.problem.source, pair.problem.target
-    basis = source.basis.copy()
-    basis[pair.problem.factors.vertices[3]] = 0
-    arguments = replace(source, basis=basis), target, pair.problem.factors
-    shared = pair.problem.band, pair.problem.backend, pair.problem.options
-    if isinstance(pair.problem, DenseProblem):
-        problem: AlignmentProblem = DenseProblem(*arguments, pair.problem.distances, *shared)
-    else:
-        problem = AlignmentProblem(*arguments, *shared)
-    frozen, x = started(pair._replace(problem=problem), rng)
-    evaluation = problem.value_and_gradient(x, frozen)
+    pair = bind_small({"alignment.cycle": True}, dense=dense)
+    bound_pair = pair.problem
+    basis = bound_pair.source.basis.copy()
+    basis[bound_pair.factors.vertices[3]] = 0
+    arguments = replace(bound_pair.source, basis=basis), bound_pair.target, bound_pair.factors
+    shared = bound_pair.band, bound_pair.backend, bound_pair.options, bound_pair.rules
+    terms = bound_pair.distances
+    literal = DenseTerms(*arguments, terms.distances, bound_pair.backend) if isinstance(terms, DenseTerms) else None
+    problem = Objective(*arguments, *shared, distances=literal)
+    fixed, x = started(pair._replace(problem=problem), rng)
+    evaluation = problem.value_and_gradient(x, fixed)
     assert np.isfinite(evaluation.total)
     assert np.isfinite(evaluation.gradient).all()
 
@@ -178,13 +182,13 @@ def test_an_evaluation_moves_only_its_point_and_its_gradient(
     bind_small: Callable[..., Bound], kernels: Backend, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
     pair = bind_small({"alignment.cycle": True}, kernels)
-    frozen, x = started(pair, rng)
+    fixed, x = started(pair, rng)
     moved: list[tuple[str, int]] = []
     array, numpy = type(kernels).array, type(kernels).numpy
     monkeypatch.setattr(type(kernels), "array", lambda self, v: moved.append(("up", np.size(v))) or array(self, v))
     monkeypatch.setattr(type(kernels), "numpy", lambda self, v: moved.append(("down", v.size)) or numpy(self, v))
-    pair.problem.value_and_gradient(x, frozen)
-    pair.problem.value_and_gradient(x, frozen)
+    pair.problem.value_and_gradient(x, fixed)
+    pair.problem.value_and_gradient(x, fixed)
     # What the first evaluation uploads for good (tables of the band) is not uploaded again.
     assert moved[-2:] == [("up", x.size), ("down", x.size)]
 
@@ -210,11 +214,9 @@ def human(human_pair: Pair) -> PreparedPair:
 def test_low_rank_distances_agree_with_the_literal_loss(human: PreparedPair, rng: np.random.Generator) -> None:
     """Two poses of a human at 1,500 vertices, N = 100 samples: l_unsup and l_cyc within 2 %."""
     options = human_options().replace({"alignment.cycle": True})
-    low_rank = bound(human, options)
-    literal = bound(human, options.replace({"alignment.distances": "dense"}))
-    assert isinstance(literal.problem, DenseProblem)
-    frozen, x = started(low_rank, rng)
-    fast, slow = (pair.problem.value_and_gradient(x, frozen) for pair in (low_rank, literal))
+    low_rank, literal = bound(human, options), bound(human, options, dense=True)
+    fixed, x = started(low_rank, rng)
+    fast, slow = (pair.problem.value_and_gradient(x, fixed) for pair in (low_rank, literal))
     assert fast.terms["unsup"] == pytest.approx(slow.terms["unsup"], rel=0.02)
     assert fast.terms["cycle"] == pytest.approx(slow.terms["cycle"], rel=0.02)
     assert fast.terms["align"] == pytest.approx(slow.terms["align"], rel=1e-9)
@@ -223,23 +225,24 @@ def test_low_rank_distances_agree_with_the_literal_loss(human: PreparedPair, rng
 
 def test_literal_loss_is_equation_22(small: PreparedPair, bind_small: Callable[..., Bound]) -> None:
     """From the formulas as printed: |Psi C Phi^T|, columns normalised, squared; uniform weights."""
-    pair = bind_small({"alignment.distances": "dense", "alignment.weights": "uniform", "alignment.samples": 0})
+    pair = bind_small({"alignment.weights": "uniform", "alignment.samples": 0}, dense=True)
     problem = pair.problem
-    assert isinstance(problem, DenseProblem)
-    frozen = problem.start_round(pair.rotation, pair.truth.target_of_source, 1.0)
-    reported = problem.value_and_gradient(problem.pack(pair.rotation), frozen).terms["unsup"]
+    assert isinstance(problem.distances, DenseTerms)
+    distances = problem.distances.distances
+    fixed = problem.fix(pair.rotation, pair.truth.target_of_source, 1.0)
+    reported = problem.value_and_gradient(problem.pack(pair.rotation), fixed).terms["unsup"]
     basis = [shape.basis.functions[:, : SMALL.spectrum.basis] for shape in (small.source, small.target)]
     soft = np.abs(basis[1] @ problem.functional_map(pair.rotation) @ basis[0].T)
     soft = (soft / np.linalg.norm(soft, axis=0)) ** 2
     np.testing.assert_allclose(soft.sum(axis=0), 1.0)
-    residual = problem.distances.source - soft.T @ problem.distances.target @ soft
+    residual = distances.source - soft.T @ distances.target @ soft
     assert reported == pytest.approx(np.sum(residual**2) / len(residual) ** 2, rel=1e-9)
 
 
 def test_unitarity_is_equation_23(bind_small: Callable[..., Bound], rng: np.random.Generator) -> None:
     pair = bind_small({"alignment.unitarity": 0.0})
-    frozen, x = started(pair, rng)
-    evaluation = pair.problem.value_and_gradient(x, frozen)
+    fixed, x = started(pair, rng)
+    evaluation = pair.problem.value_and_gradient(x, fixed)
     rotation = pair.problem.unpack(x)
     size = len(rotation)
     expected = np.sum((rotation @ rotation.T - np.eye(size)) ** 2) / size**2
@@ -252,19 +255,19 @@ def test_unitarity_is_equation_23(bind_small: Callable[..., Bound], rng: np.rand
 def test_alignment_term_is_equation_21(bind_small: Callable[..., Bound], rng: np.random.Generator) -> None:
     pair = bind_small({})
     problem = pair.problem
-    frozen, x = started(pair, rng)
+    fixed, x = started(pair, rng)
     rotation = problem.unpack(x)
     turned = problem.source.descriptors @ rotation
     carried = problem.target.descriptors[pair.truth.target_of_source] @ rotation.T
     mass = problem.source.loss_weights[:, None]
     expected = np.sum(mass * (turned - carried) ** 2) / np.sum(mass * carried**2)
-    assert problem.value_and_gradient(x, frozen).terms["align"] == pytest.approx(expected, rel=1e-9)
+    assert problem.value_and_gradient(x, fixed).terms["align"] == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_cycle_term_halves_the_weight(bind_small: Callable[..., Bound], rng: np.random.Generator) -> None:
     pair = bind_small({"alignment.cycle": True, "alignment.unitarity": 0.0})
-    frozen, x = started(pair, rng, weight=70.0)
-    evaluation = pair.problem.value_and_gradient(x, frozen)
+    fixed, x = started(pair, rng, weight=70.0)
+    evaluation = pair.problem.value_and_gradient(x, fixed)
     terms = evaluation.terms
     assert evaluation.total == pytest.approx(terms["align"] + 35.0 * (terms["unsup"] + terms["cycle"]), rel=1e-12)
 
@@ -273,20 +276,13 @@ def test_an_isometry_of_a_shape_with_itself_has_no_alignment_error(bind_small: C
     """The identity on R leaves Φ̃ and Ψ̃ as they are; for one shape they are equal."""
     pair = bind_small({})
     source = pair.problem.source
-    problem = AlignmentProblem(
-        source, source, pair.problem.factors, pair.problem.band, pair.problem.backend, pair.problem.options
-    )
+    same = pair.problem
+    problem = Objective(source, source, same.factors, same.band, same.backend, same.options, same.rules)
     rotation = np.eye(problem.band.size)
-    frozen = problem.start_round(rotation, np.arange(len(source.basis)), 200.0)
-    evaluation = problem.value_and_gradient(problem.pack(rotation), frozen)
+    fixed = problem.fix(rotation, np.arange(len(source.basis)), 200.0)
+    evaluation = problem.value_and_gradient(problem.pack(rotation), fixed)
     assert abs(evaluation.terms["align"]) < 1e-12
     np.testing.assert_allclose(problem.functional_map(rotation), np.eye(source.basis.shape[1]), atol=1e-3)
-
-
-def test_the_dense_mode_refuses_large_meshes(middle: PreparedPair) -> None:
-    options = MIDDLE.replace({"alignment.distances": "dense", "geodesics.dense_below": 600})
-    with pytest.raises(OptionError, match=r"642 vertices are too many .*alignment.distances=factors"):
-        bound(middle, options)
 
 
 def test_shapes_are_left_as_they_were(middle: PreparedPair) -> None:
@@ -297,8 +293,8 @@ def test_shapes_are_left_as_they_were(middle: PreparedPair) -> None:
 
     before = fingerprint(middle.source), fingerprint(middle.target)
     pair = bound(middle, MIDDLE)
-    frozen = pair.problem.start_round(pair.rotation, pair.truth.target_of_source, 200.0)
-    pair.problem.value_and_gradient(pair.problem.pack(pair.rotation), frozen)
+    fixed = pair.problem.fix(pair.rotation, pair.truth.target_of_source, 200.0)
+    pair.problem.value_and_gradient(pair.problem.pack(pair.rotation), fixed)
     assert (fingerprint(middle.source), fingerprint(middle.target)) == before
 
 
@@ -306,5 +302,5 @@ def test_no_more_functions_are_used_than_there_are_descriptors(bind_small: Calla
     """Otherwise α αᵀ is singular, and single precision turns the least squares into noise."""
     problem, rotation, truth = bind_small({"spectrum.basis": 16, "spectrum.descriptors": 12})
     assert problem.source.basis.shape[1] == problem.target.basis.shape[1] == 12
-    frozen = problem.start_round(rotation, truth.target_of_source, 50.0)
-    assert np.isfinite(problem.value_and_gradient(problem.pack(rotation), frozen).gradient).all()
+    fixed = problem.fix(rotation, truth.target_of_source, 50.0)
+    assert np.isfinite(problem.value_and_gradient(problem.pack(rotation), fixed).gradient).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from prepared import MIDDLE, PreparedPair, tiny_pair
 
-from clalign.alignment.problem_data import aligned_side, sampled_factors
+from clalign.alignment.problem_data import sampled_factors, shape_data
 from clalign.geometry.geodesics import all_pairs
 from clalign.geometry.shape import prepare
 from clalign.mesh.mesh import mesh_from_arrays
@@ -18,7 +18,7 @@ def test_sampled_factors_are_the_same_distances(middle: PreparedPair, samples: i
     """Made orthonormal at the samples, the factors still give the distances there, to about a percent."""
     shape = middle.source
     options = MIDDLE.replace({"alignment.samples": samples, "alignment.weights": weights}).alignment
-    found = sampled_factors(shape, options)
+    found = sampled_factors(shape, options, 100)
     assert found.weights.sum() == pytest.approx(1.0)
     assert found.vertices.size == (samples or shape.mesh.n_vertices)
     identity = np.eye(found.left.shape[1])
@@ -34,7 +34,7 @@ def test_all_vertices_are_taken_where_the_geodesic_samples_are_all() -> None:
     """Whatever number of samples was asked for."""
     options = MIDDLE.replace({"geodesics.search_samples": 500, "alignment.samples": 50})
     shape = prepare(mesh_from_arrays(*tiny_pair().source), options)
-    found = sampled_factors(shape, options.alignment)
+    found = sampled_factors(shape, options.alignment, 100)
     np.testing.assert_array_equal(found.vertices, np.arange(shape.mesh.n_vertices))
     np.testing.assert_array_equal(found.weights, shape.mass)
 
@@ -42,7 +42,7 @@ def test_all_vertices_are_taken_where_the_geodesic_samples_are_all() -> None:
 def test_samples_spread_over_the_surface(middle: PreparedPair) -> None:
     """They are farthest-point samples, so that numbering does not matter, weighted by the area they stand for."""
     shape = middle.source
-    found = sampled_factors(shape, MIDDLE.replace({"alignment.samples": 50}).alignment)
+    found = sampled_factors(shape, MIDDLE.replace({"alignment.samples": 50}).alignment, 100)
     np.testing.assert_array_equal(found.vertices, shape.geodesics.samples[:50])
     gaps = all_pairs(shape.mesh)[found.vertices].min(axis=0)
     # Fifty discs of this radius would cover the unit area twice.
@@ -54,7 +54,7 @@ def test_samples_spread_over_the_surface(middle: PreparedPair) -> None:
 def test_projection_and_weights(middle: PreparedPair, weights: str) -> None:
     shape = middle.source
     options = MIDDLE.replace({"alignment.weights": weights}).alignment
-    side = aligned_side(shape, 30, shape.descriptors.functions[:, :40], options)
+    side = shape_data(shape, 30, shape.descriptors.functions[:, :40], options)
     expected = shape.basis.functions[:, :30].T @ np.diag(shape.mass) @ shape.descriptors.functions[:, :40]
     np.testing.assert_allclose(side.projection, expected, atol=1e-12)
     assert side.loss_weights.sum() == pytest.approx(1.0)

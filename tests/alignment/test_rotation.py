@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 import scipy.linalg
 from numpy.typing import NDArray
+from prepared import PreparedPair
 
 from clalign.alignment.band import band_mask, funnel_band
-from clalign.alignment.rotation import orthogonal_square_root, random_rotation, starting_rotation
+from clalign.alignment.rotation import (
+    least_squares_start,
+    orthogonal_square_root,
+    random_rotation,
+    starting_rotation,
+)
+from clalign.engine import HOST
+from clalign.maps.nearest import point_maps
 from clalign.options import AlignmentOptions
 
 
@@ -117,3 +125,19 @@ def test_random_start_is_the_papers() -> None:
     assert 10 < (np.diag(start) > 0).sum() < 40
     np.testing.assert_array_equal(start, random_rotation(50, 3))
     assert not np.array_equal(start, random_rotation(50, 4))
+
+
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_the_least_squares_start_aligns(middle: PreparedPair, one_sided: bool) -> None:
+    """Nearest neighbours among the functions it aligns are the true matches, or next to them."""
+    source, target, truth = middle
+    count = 40
+    band = funnel_band(count, AlignmentOptions())
+    start = least_squares_start(source.descriptors, target.descriptors, truth, band, HOST, one_sided=one_sided)
+    assert not start.rotation[~band_mask(band)].any()
+    aligned = source.descriptors.functions[:, :count] * start.signs @ start.rotation
+    other = target.descriptors.functions[:, :count]
+    found = point_maps(aligned, other if one_sided else other @ start.rotation.T)
+    assert (found.target_of_source == truth.target_of_source).mean() > 0.8
+    before = point_maps(source.descriptors.functions[:, :count], other)
+    assert (before.target_of_source == truth.target_of_source).mean() < 0.2

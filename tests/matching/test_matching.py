@@ -12,7 +12,7 @@ import pytest
 import shapes
 
 import clalign
-from clalign.alignment.objective import AlignmentProblem, Evaluation
+from clalign.alignment.objective import Evaluation, Objective
 from clalign.correspondence import Correspondence
 from clalign.engine import Reference
 from clalign.errors import ClalignWarning, ConfidenceWarning
@@ -29,7 +29,7 @@ QUICK = Options().replace(
         "spectrum.refinement": 16,
         "spectrum.descriptors": 24,
         "geodesics.search_samples": 60,
-        "alignment.rounds": 1,
+        "alignment.outer_iterations": 1,
         "alignment.iterations": 3,
         "readout.steps": 0,
     }
@@ -63,12 +63,12 @@ def test_warnings_point_at_the_line_of_the_user(entry: Any) -> None:
 
 
 def test_an_objective_without_a_finite_value_is_raised_and_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    evaluate = AlignmentProblem.value_and_gradient
+    evaluate = Objective.value_and_gradient
 
-    def never_finite(self: AlignmentProblem, *arguments: Any) -> Evaluation:
+    def never_finite(self: Objective, *arguments: Any) -> Evaluation:
         return dataclasses.replace(evaluate(self, *arguments), total=np.nan)
 
-    monkeypatch.setattr(AlignmentProblem, "value_and_gradient", never_finite)
+    monkeypatch.setattr(Objective, "value_and_gradient", never_finite)
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
         result, line = by_match()
@@ -82,14 +82,14 @@ def test_notes_and_an_interrupt_are_kept_without_being_raised(monkeypatch: pytes
     vertices, faces = BODY
     loose = np.concatenate([vertices, [[9.0, 9.0, 9.0]]]), faces
     interrupted = [True]
-    distortion = clalign.matching.pair.local_distortion
+    distortion = clalign.matching.result.local_distortion
 
     def once(*arguments: Any) -> Any:
         if interrupted.pop() if interrupted else False:
             raise KeyboardInterrupt
         return distortion(*arguments)
 
-    monkeypatch.setattr("clalign.matching.pair.local_distortion", once)
+    monkeypatch.setattr("clalign.matching.result.local_distortion", once)
     with pytest.warns(ConfidenceWarning) as seen:
         result = clalign.match(loose, BODY, QUICK)
     assert result.interrupted

@@ -7,13 +7,14 @@ import gc
 import numpy as np
 from prepared import MIDDLE, PreparedPair
 
-from clalign.alignment.objective import AlignmentProblem
+from clalign.alignment.objective import Objective
 from clalign.engine import Backend
 from clalign.engine.device import DeviceArray
-from clalign.matching.stages import Clock, align_pair
+from clalign.matching.loop import Clock, run_stages
+from clalign.matching.state import MatchState
 from clalign.search.batch import SamplePair
 
-KINDS = (AlignmentProblem, SamplePair, DeviceArray)
+KINDS = (Objective, SamplePair, DeviceArray)
 
 
 def alive() -> list[int]:
@@ -23,9 +24,9 @@ def alive() -> list[int]:
 
 def test_a_match_leaves_nothing_behind(middle: PreparedPair, kernels: Backend) -> None:
     def match() -> None:
-        options = MIDDLE.replace({"alignment.rounds": 1, "alignment.iterations": 3})
+        options = MIDDLE.replace({"alignment.outer_iterations": 1, "alignment.iterations": 3})
         with np.errstate(all="ignore"):
-            align_pair(middle.source, middle.target, kernels, options, Clock())
+            run_stages(MatchState(middle.source, middle.target, options, 0.3), kernels, Clock())
 
     match()  # scratch and constants of the device stay with it
     before = alive()

@@ -1,19 +1,21 @@
-"""Choosing maps piece by piece: what is right in some candidate is right in the result."""
+"""Choosing maps patch by patch: what is right in some candidate is right in the result."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from prepared import PreparedPair
+from prepared import PreparedPair, true_functional_map
 
 from clalign.engine import Reference
 from clalign.geometry.geodesics import all_pairs
-from clalign.maps.functional_maps import functional_map
-from clalign.maps.sampling import SampledBasis, SampleMaps, sampled_basis
-from clalign.refinement.patches import best_pieces, embedding_residuals, piecewise_maps
+from clalign.maps.point_maps import PointMaps
+from clalign.maps.sampling import SampledBasis
+from clalign.refinement.patches import best_patches, embedding_residuals, patchwise_maps
+from clalign.rules import RefinementRules
 
-PIECES = 12
+RULES = RefinementRules()
+PATCHES = 12
 
 
 @pytest.fixture
@@ -23,52 +25,54 @@ def backend() -> Reference:
 
 @pytest.fixture
 def bases(middle: PreparedPair, backend: Reference) -> tuple[SampledBasis, SampledBasis]:
-    source, target = (sampled_basis(backend, shape.descriptors, shape.samples(patches=PIECES)) for shape in middle[:2])
+    source, target = (
+        SampledBasis.of(shape.descriptors, shape.samples(1000, PATCHES), shape.order, backend) for shape in middle[:2]
+    )
     return source, target
 
 
 def wrong_in(
-    maps: SampleMaps, bases: tuple[SampledBasis, SampledBasis], pieces: NDArray[np.int64], rng: np.random.Generator
-) -> SampleMaps:
-    """Exchange the matches inside some pieces of both shapes at random."""
+    maps: PointMaps, bases: tuple[SampledBasis, SampledBasis], patches: NDArray[np.int64], rng: np.random.Generator
+) -> PointMaps:
+    """Exchange the matches inside some patches of both shapes at random."""
 
     def exchanged(matches: NDArray[np.int64], basis: SampledBasis) -> NDArray[np.int64]:
         changed = matches.copy()
-        inside = np.flatnonzero(np.isin(basis.samples.patches, pieces))
+        inside = np.flatnonzero(np.isin(basis.samples.patches, patches))
         changed[inside] = matches[rng.permutation(inside)]
         return changed
 
-    return SampleMaps(exchanged(maps.target_of_source, bases[0]), exchanged(maps.source_of_target, bases[1]))
+    return PointMaps(exchanged(maps.target_of_source, bases[0]), exchanged(maps.source_of_target, bases[1]))
 
 
-def test_every_piece_comes_from_the_candidate_that_is_right_there(
+def test_every_patch_comes_from_the_candidate_that_is_right_there(
     middle: PreparedPair, bases: tuple[SampledBasis, SampledBasis], rng: np.random.Generator
 ) -> None:
-    truth = SampleMaps(
+    truth = PointMaps(
         middle.truth.target_of_source[bases[0].samples.vertices],
         middle.truth.source_of_target[bases[1].samples.vertices],
     )
-    candidates = [wrong_in(truth, bases, np.array(pieces), rng) for pieces in ((0, 3, 4), (1, 2), (5, 6, 7))]
+    candidates = [wrong_in(truth, bases, np.array(patches), rng) for patches in ((0, 3, 4), (1, 2), (5, 6, 7))]
     assert all((maps.target_of_source != truth.target_of_source).mean() > 0.1 for maps in candidates)
-    best = best_pieces(*bases, candidates)
+    best = best_patches(*bases, candidates, RULES)
     np.testing.assert_array_equal(best.target_of_source, truth.target_of_source)
     np.testing.assert_array_equal(best.source_of_target, truth.source_of_target)
-    for maps, pieces in zip(candidates, ((0, 3, 4), (1, 2), (5, 6, 7)), strict=True):
-        residual, _ = embedding_residuals(*bases, maps)
-        wrong = np.isin(bases[0].samples.patches, pieces)
+    for maps, patches in zip(candidates, ((0, 3, 4), (1, 2), (5, 6, 7)), strict=True):
+        residual, _ = embedding_residuals(*bases, maps, RULES)
+        wrong = np.isin(bases[0].samples.patches, patches)
         assert residual[wrong].mean() > 3.0 * residual[~wrong].mean()
 
 
-def test_piecewise_maps_sharpen_a_coarse_map(
+def test_patchwise_maps_sharpen_a_coarse_map(
     middle: PreparedPair, backend: Reference, rng: np.random.Generator
 ) -> None:
     source, target, truth = middle
-    coarse = functional_map(source.basis, target.basis, truth.source_of_target, 12)
+    coarse = true_functional_map(source.basis, target.basis, truth.source_of_target, 12)
     coarse += 0.1 * rng.normal(size=coarse.shape)
-    maps = piecewise_maps(backend, source, target, (source.descriptors, target.descriptors), coarse, 60)
+    maps = patchwise_maps(source, target, (source.descriptors, target.descriptors), coarse, 60, RULES, backend)
     distances = all_pairs(target.mesh)
     # Neighbouring vertices are about 0.04 apart.
     assert distances[maps.target_of_source, truth.target_of_source].mean() < 0.01
     assert (maps.source_of_target == truth.source_of_target).mean() > 0.8
-    again = piecewise_maps(backend, source, target, (source.descriptors, target.descriptors), coarse, 60)
+    again = patchwise_maps(source, target, (source.descriptors, target.descriptors), coarse, 60, RULES, backend)
     np.testing.assert_array_equal(again.target_of_source, maps.target_of_source)

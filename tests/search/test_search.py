@@ -9,29 +9,31 @@ import pytest
 import scipy.linalg
 import shapes
 from numpy.typing import NDArray
-from prepared import MIDDLE, PreparedPair, tiny_pair
+from prepared import MIDDLE, tiny_pair
 
 from clalign.engine import Backend, Reference
 from clalign.geometry.geodesics import all_pairs
 from clalign.geometry.shape import Shape, prepare
 from clalign.maps.orientation import index_pairs, orientation_scores
 from clalign.mesh.mesh import mesh_from_arrays
-from clalign.options import SearchOptions
 from clalign.refinement.zoomout import vertex_maps
-from clalign.search import find_isometry
+from clalign.rules import Level, SearchRules
 from clalign.search.batch import (
-    Level,
+    SampledShape,
     SamplePair,
     distortions,
     map_distances,
-    orthogonalised_batch,
+    polar_factors,
     up_sample,
     without_duplicates,
 )
-from clalign.search.initial_maps import oriented_starts, sign_patterns, unfold
-from clalign.search.sampled import SampledShape, sampled
+from clalign.search.find import find_isometry
+from clalign.search.initial_maps import oriented_initial_maps, sign_patterns, unfold
 from clalign.search.symmetries import composed, self_maps
 from clalign.search.tree import branched
+
+RULES = SearchRules()
+PRODUCTS = RULES.scored_products
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 
@@ -54,7 +56,7 @@ def shape(bumpy: Arrays) -> Shape:
 
 @pytest.fixture(scope="module")
 def samples(shape: Shape) -> SampledShape:
-    return sampled(shape)
+    return SampledShape.of(shape)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +102,7 @@ def test_newton_schulz_gives_the_polar_factor(rng: np.random.Generator) -> None:
     maps = np.stack([np.linalg.qr(rng.normal(size=(12, 12)))[0] for _ in range(6)])
     disturbed = (maps + 0.05 * rng.normal(size=maps.shape)).astype(np.float32)
     expected = np.stack([scipy.linalg.polar(m.astype(np.float64))[0] for m in disturbed])
-    np.testing.assert_allclose(orthogonalised_batch(disturbed), expected, atol=1e-4)
+    np.testing.assert_allclose(polar_factors(disturbed), expected, atol=1e-4)
 
 
 def test_pairs_of_functions_have_two_columns_also_where_there_are_none() -> None:
@@ -109,47 +111,49 @@ def test_pairs_of_functions_have_two_columns_also_where_there_are_none() -> None
         assert index_pairs(1, last).shape == (0, 2)
 
 
-@pytest.mark.parametrize("method", ["tree", "signs"])
-def test_three_functions_are_enough_for_a_search(method: str) -> None:
+def test_three_functions_are_enough_for_a_search() -> None:
     """As few as the options let through: two functions beside the constant one fix this map and its orientation."""
     vertices, faces = shapes.bumpy_sphere(2)
-    options = MIDDLE.replace({"spectrum.basis": 3, "spectrum.refinement": 3, "search.method": method})
+    options = MIDDLE.replace({"spectrum.basis": 3, "spectrum.refinement": 3})
     shape = prepare(mesh_from_arrays(vertices, faces), options)
-    found = find_isometry(shape, shape, Reference(), options.search)
+    found = find_isometry(shape, shape, "preserving", RULES, Reference()).chosen
     np.testing.assert_allclose(found.functional, np.eye(3), atol=1e-4)
     assert found.orientation == pytest.approx(1.0, abs=1e-4)
 
 
 def test_orientation_of_a_shape_and_its_mirror_image(shape: Shape, samples: SampledShape, bumpy: Arrays) -> None:
     identity = np.eye(20)[None]
-    assert orientation_scores(identity, samples.tensor, samples.tensor)[0] == pytest.approx(1.0, abs=1e-5)
-    assert orientation_scores(identity, samples.tensor, -samples.tensor)[0] == pytest.approx(-1.0, abs=1e-5)
+    assert orientation_scores(identity, samples.tensor, samples.tensor, PRODUCTS)[0] == pytest.approx(1.0, abs=1e-5)
+    assert orientation_scores(identity, samples.tensor, -samples.tensor, PRODUCTS)[0] == pytest.approx(-1.0, abs=1e-5)
     image = prepare(mesh_from_arrays(*reflected(bumpy)), MIDDLE)
     # Same numbering and same intrinsic functions, up to sign.
     signs = np.sign(np.sum(image.basis.functions * shape.basis.functions * shape.mass[:, None], axis=0))
-    assert orientation_scores(np.diag(signs[:20])[None], samples.tensor, sampled(image).tensor)[0] < -0.99
+    assert (
+        orientation_scores(np.diag(signs[:20])[None], samples.tensor, SampledShape.of(image).tensor, PRODUCTS)[0]
+        < -0.99
+    )
     np.testing.assert_allclose(samples.mirrored().mirrored().tensor, samples.tensor)
 
 
 def test_orientation_of_nonsense_is_undecided(samples: SampledShape, rng: np.random.Generator) -> None:
     nonsense = np.stack([np.linalg.qr(rng.normal(size=(20, 20)))[0] for _ in range(20)])
-    scores = orientation_scores(nonsense, samples.tensor, samples.tensor)
+    scores = orientation_scores(nonsense, samples.tensor, samples.tensor, PRODUCTS)
     assert np.abs(scores).max() < 0.8
     assert abs(scores.mean()) < 0.2
 
 
 def test_unfolding_keeps_a_right_block(own: SamplePair) -> None:
     """Triple products of the true map agree with those it carries, so unfolding finds it again."""
-    found = unfold(own, np.eye(9, dtype=np.float32)[None], 0.7)
+    found = unfold(own, np.eye(9, dtype=np.float32)[None], 0.7, RULES)
     np.testing.assert_allclose(found[0], np.eye(len(found[0])), atol=1e-3)
 
 
 def test_mirrored_starts_are_dropped(own: SamplePair, samples: SampledShape) -> None:
     mirrored = SamplePair(samples, samples.mirrored(), Reference())
     block = np.eye(9, dtype=np.float32)[None]
-    kept = oriented_starts(mirrored, block, (0.5, 1.0))
-    assert (orientation_scores(kept.functional, samples.tensor, -samples.tensor) > 0).all()
-    assert oriented_starts(own, block, (0.5, 1.0)).count == 2
+    kept = oriented_initial_maps(mirrored, block, (0.5, 1.0), RULES)
+    assert (orientation_scores(kept.functional, samples.tensor, -samples.tensor, PRODUCTS) > 0).all()
+    assert oriented_initial_maps(own, block, (0.5, 1.0), RULES).count == 2
 
 
 def test_distortion_and_distance_of_candidates(own: SamplePair, rng: np.random.Generator) -> None:
@@ -176,21 +180,21 @@ def test_up_sampling_keeps_the_identity(own: SamplePair) -> None:
 
 def test_levels_fit_small_shapes() -> None:
     shape = prepare(mesh_from_arrays(*tiny_pair().source), MIDDLE)
-    pair = SamplePair(sampled(shape), sampled(shape), Reference())
-    level = pair.fit(Level(120, 500, 1000))
+    pair = SamplePair.of(shape, shape, Reference())
+    level = pair.fit(120, 500, 1000)
     assert (level.queries, level.points) == (162, 162)
     assert level.size == shape.basis.count
-    assert pair.fit(Level(40, 30, 60)).size == 15
+    assert pair.fit(40, 30, 60).size == 15
 
 
-def test_closure_of_a_symmetric_shape(bumpy: Arrays) -> None:
+def test_self_maps_of_a_symmetric_shape(bumpy: Arrays) -> None:
     """An ellipsoid is carried to itself by half-turns about its axes: they are found, and compose to candidates."""
     directions, faces = shapes.icosphere(3)
     options = MIDDLE.replace({"geodesics.search_samples": 150})
     ellipsoid = prepare(mesh_from_arrays(directions * np.array([1.0, 0.7, 0.45]), faces), options)
-    samples = sampled(ellipsoid)
+    samples = SampledShape.of(ellipsoid)
     pair = SamplePair(samples, samples, Reference())
-    found = self_maps(pair, 7)
+    found = self_maps(pair, replace(RULES, self_maps=7))
     points = ellipsoid.mesh.vertices[ellipsoid.geodesics.samples]
     size = found.shape[1]
     turns = [np.diag(signs) for signs in np.array(np.meshgrid([1, -1], [1, -1], [1, -1])).reshape(3, -1).T]
@@ -208,28 +212,18 @@ def test_closure_of_a_symmetric_shape(bumpy: Arrays) -> None:
 
 
 def exact(source: Shape, target: Shape, functional: NDArray[np.float64], truth: NDArray[np.int64]) -> float:
-    return float((vertex_maps(Reference(), source, target, functional).target_of_source == truth).mean())
+    return float((vertex_maps(source, target, functional, Reference()).target_of_source == truth).mean())
 
 
 def test_a_shape_finds_itself_renumbered_and_rotated(shape: Shape, bumpy: Arrays, kernels: Backend) -> None:
     vertices, faces, new_of_old = shapes.renumbered(*rotated(bumpy, 4), 5)
     other = prepare(mesh_from_arrays(vertices, faces), MIDDLE)
     progress: list[float] = []
-    found = find_isometry(shape, other, kernels, SearchOptions(), progress.append)
+    found = find_isometry(shape, other, "preserving", RULES, kernels, progress.append).chosen
     assert exact(shape, other, found.functional, new_of_old) > 0.99
     assert found.orientation > 0.99
-    assert not found.mirrored
     assert progress == sorted(progress)
     assert progress[-1] == 1.0
-
-
-def test_plain_signs_find_two_poses(middle: PreparedPair, kernels: Backend) -> None:
-    source, target, truth = middle
-    found = find_isometry(source, target, kernels, SearchOptions(method="signs"))
-    maps = vertex_maps(Reference(), source, target, found.functional)
-    # Neighbouring vertices are about 0.04 apart.
-    assert all_pairs(target.mesh)[maps.target_of_source, truth.target_of_source].mean() < 0.04
-    assert found.orientation > 0.9
 
 
 @pytest.fixture(scope="module")
@@ -242,35 +236,30 @@ def image(bumpy: Arrays) -> tuple[Shape, NDArray[np.int64]]:
 def test_the_mirror_image_is_found_on_request(
     shape: Shape, image: tuple[Shape, NDArray[np.int64]], kernels: Backend, orientation: str
 ) -> None:
-    options = replace(SearchOptions(method="signs"), orientation=orientation)
-    found = find_isometry(shape, image[0], kernels, options)
+    found = find_isometry(shape, image[0], orientation, RULES, kernels).chosen  # type: ignore[arg-type]
     assert exact(shape, image[0], found.functional, image[1]) > 0.99
-    assert found.mirrored
     assert found.orientation < -0.99
 
 
 def test_the_mirror_image_is_rejected_otherwise(
     shape: Shape, image: tuple[Shape, NDArray[np.int64]], kernels: Backend
 ) -> None:
-    found = find_isometry(shape, image[0], kernels, SearchOptions(method="signs"))
+    found = find_isometry(shape, image[0], "preserving", RULES, kernels).chosen
     assert exact(shape, image[0], found.functional, image[1]) < 0.1
 
 
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0)], ids=["sphere", "body of revolution"])
-@pytest.mark.parametrize("method", ["tree", "signs"])
-def test_shapes_without_one_answer_get_some_isometry(
-    axes: tuple[float, float, float], method: str, kernels: Backend
-) -> None:
+def test_shapes_without_one_answer_get_some_isometry(axes: tuple[float, float, float], kernels: Backend) -> None:
     """All eigenvalues come in clusters; any answer that keeps distances will do."""
     directions, faces = shapes.icosphere(2)
     options = MIDDLE.replace({"geodesics.search_samples": 120})
     first = prepare(mesh_from_arrays(directions * np.array(axes), faces), options)
     vertices, turned_faces, _ = shapes.renumbered(*rotated((directions * np.array(axes), faces), 1), 2)
     second = prepare(mesh_from_arrays(vertices, turned_faces), options)
-    found = find_isometry(first, second, kernels, replace(SearchOptions(), method=method))
-    assert np.isfinite(found.functional).all()
-    assert not np.isnan(found.confidence)
-    assert not np.isnan(found.orientation)
+    found = find_isometry(first, second, "preserving", RULES, kernels)
+    assert np.isfinite(found.chosen.functional).all()
+    assert not np.isnan(found.margin)
+    assert not np.isnan(found.chosen.orientation)
 
 
 @pytest.mark.parametrize("swapped", [False, True])
@@ -278,9 +267,9 @@ def test_a_very_small_shape_against_a_larger_one(swapped: bool, kernels: Backend
     """42 vertices have 14 functions where 162 have 54: candidates live in what both have."""
     pair = [prepare(mesh_from_arrays(*shapes.bumpy_sphere(level)), MIDDLE) for level in (1, 2)]
     source, target = reversed(pair) if swapped else pair
-    found = find_isometry(source, target, kernels, SearchOptions())
+    found = find_isometry(source, target, "preserving", RULES, kernels).chosen
     assert found.functional.shape == (14, 14)
-    maps = vertex_maps(Reference(), source, target, found.functional)
+    maps = vertex_maps(source, target, found.functional, Reference())
     # The vertices of the coarser sphere are the first ones of the finer.
     coarse_to_fine = maps.source_of_target if swapped else maps.target_of_source
     fine = all_pairs(pair[1].mesh)

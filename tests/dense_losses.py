@@ -1,7 +1,4 @@
-"""The losses as the paper writes them, with D and P stored: for small meshes, and to test the low-rank way against.
-
-Everything here is numpy in float64, whatever the backend of the rest of the problem.
-"""
+"""The losses as the paper writes them, with D and P stored, to test the low-rank way against; numpy in float64."""
 
 from __future__ import annotations
 
@@ -11,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.objective import AlignmentProblem, Distortions
-from clalign.alignment.problem_data import AlignedSide, SampledFactors
-from clalign.engine.backend import Backend, Band
+from clalign.alignment.losses import Distortions
+from clalign.alignment.problem_data import SampledFactors, ShapeData
+from clalign.engine.backend import Backend
 from clalign.engine.reference_arrays import reciprocal
-from clalign.errors import OptionError
 from clalign.geometry.geodesics import all_pairs
 from clalign.geometry.shape import Shape
-from clalign.options import AlignmentOptions
 
 
 @dataclass(frozen=True)
@@ -35,25 +30,8 @@ class DenseDistances:
     target: NDArray[np.float64]
 
 
-def dense_distances(source: Shape, target: Shape, most: int) -> DenseDistances:
-    """Measure all distances of two shapes.
-
-    Parameters
-    ----------
-    most : vertices that a mesh may have, ``geodesics.dense_below``.
-
-    Raises
-    ------
-    OptionError
-        A mesh has more.
-    """
-    for mesh in (source.mesh, target.mesh):
-        if mesh.n_vertices > most:
-            raise OptionError(
-                f"{mesh.name}: {mesh.n_vertices} vertices are too many for alignment.distances=dense, which stores "
-                f"matrices of vertices x vertices; use alignment.distances=factors, a coarser mesh, or raise "
-                f"geodesics.dense_below ({most})"
-            )
+def dense_distances(source: Shape, target: Shape) -> DenseDistances:
+    """Measure all distances of two shapes."""
     return DenseDistances(all_pairs(source.mesh), all_pairs(target.mesh))
 
 
@@ -114,41 +92,39 @@ def distortion(
     return float(np.sum(weighted * residual)), -4.0 * carried @ weighted
 
 
-class DenseProblem(AlignmentProblem):
-    """The alignment problem with Eq. 22 and 31 evaluated literally.
+class DenseTerms:
+    """Eq. 22 and 31 evaluated literally, for an objective's `distances`.
 
     Parameters
     ----------
-    distances : between all vertices; those of the source are compared at ``factors.vertices``.
-    source, target, factors, band, backend, options : see `AlignmentProblem`; factors of distances are not read.
+    source, target : of the objective.
+    vertices : of the source, where distances are compared.
+    weights : (m,) of these vertices, summing to 1.
+    distances : between all vertices.
+    backend : of the objective.
     """
 
     def __init__(
         self,
-        source: AlignedSide,
-        target: AlignedSide,
+        source: ShapeData,
+        target: ShapeData,
         factors: SampledFactors,
         distances: DenseDistances,
-        band: Band,
         backend: Backend,
-        options: AlignmentOptions,
     ) -> None:
-        self.distances = distances
-        super().__init__(source, target, factors, band, backend, options)
+        self.source, self.target, self.distances, self.backend = source, target, distances, backend
+        self.weights = factors.weights
+        self.kept = distances.source[np.ix_(factors.vertices, factors.vertices)]
+        self.sampled = source.basis[factors.vertices]
 
-    def _bind_distances(self) -> None:
-        vertices = self.factors.vertices
-        self._kept = self.distances.source[np.ix_(vertices, vertices)]
-        self._sampled = self.source.basis[vertices]
-
-    def _distortions(self, functional: Any, functional_back: Any) -> Distortions:
-        source, target, weights = self.source, self.target, self.factors.weights
-        there = DenseSoftMap.of(self._host(functional), target.basis, self._sampled, target.soft_weights)
-        unsup, slope = distortion(self._kept, self.distances.target, there.matrix, weights)
+    def __call__(self, functional: Any, functional_back: Any) -> Distortions:
+        source, target = self.source, self.target
+        there = DenseSoftMap.of(self._host(functional), target.basis, self.sampled, target.soft_weights)
+        unsup, slope = distortion(self.kept, self.distances.target, there.matrix, self.weights)
         if functional_back is None:
             return Distortions({"unsup": unsup}, self.backend.array(there.gradient(slope)))
         back = DenseSoftMap.of(self._host(functional_back), source.basis, target.basis, source.soft_weights)
-        cycle, around = distortion(self._kept, self.distances.source, back.matrix @ there.matrix, weights)
+        cycle, around = distortion(self.kept, self.distances.source, back.matrix @ there.matrix, self.weights)
         slope = slope + back.matrix.T @ around
         slope_back = around @ there.matrix.T
         return Distortions(

@@ -1,0 +1,190 @@
+"""From the last state of a match to its result."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import inspect
+import platform
+import warnings as python_warnings
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.correspondence import Alternative, Correspondence
+from clalign.engine.backend import Backend
+from clalign.errors import ClalignWarning, ConfidenceWarning
+from clalign.geometry.shape import Shape
+from clalign.maps.point_maps import PointMaps
+from clalign.matching.state import MatchState, required
+from clalign.mesh.mesh import Mesh
+from clalign.options import Options
+from clalign.refinement.precise import SurfacePoints
+from clalign.rules import JudgementRules
+
+PACKAGE = __name__.partition(".")[0]
+
+NO_FINITE_VALUE = "the objective had no finite value, and the optimisation of R ended there; look at the picture"
+
+
+def correspondence(state: MatchState, backend: Backend, options: Options, timings: dict[str, float]) -> Correspondence:
+    """Return the result of a match that went through all its stages, in the vertex numbering of the files.
+
+    Doubts about the map itself are raised as Python warnings, too.
+
+    Parameters
+    ----------
+    options : as the user gave them.
+    """
+    source, target, found = state.source, state.target, state.found
+    maps, aligned, functional_map = required(state.maps), required(state.aligned), required(state.functional_map)
+    confidence = float("nan") if found is None else 1.0 - float(np.exp(-found.margin))
+    size = len(functional_map)
+    forward, backward = _in_file_numbering(source.mesh, target.mesh, maps)
+    faces, barycentric = _points_in_file_numbering(source.mesh, state.points)
+    source_descriptors, target_descriptors = state.scale_invariant(required(state.start).signs)
+    return Correspondence(
+        source=source.mesh,
+        target=target.mesh,
+        target_of_source=forward,
+        source_of_target=backward,
+        functional_map=functional_map,
+        rotation=aligned.rotation,
+        source_basis=source.basis.head(size),
+        target_basis=target.basis.head(size),
+        source_descriptors=source_descriptors,
+        target_descriptors=target_descriptors,
+        history=aligned.history,
+        losses=aligned.losses,
+        confidence=confidence,
+        orientation=float("nan") if found is None else found.chosen.orientation,
+        distortion=local_distortion(source, target, maps.target_of_source),
+        alternatives=_alternatives(state),
+        timings=timings,
+        warnings=_warnings(state, confidence, options),
+        device=backend.name,
+        options=options,
+        versions=_versions(),
+        source_faces=faces,
+        source_barycentric=barycentric,
+        score=float("nan") if found is None else found.chosen.score,
+        xi=state.xi,
+        status="interrupted" if state.interrupted else aligned.status,
+    )
+
+
+def _in_file_numbering(source: Mesh, target: Mesh, maps: PointMaps) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the maps between the vertices of the files; −1 for vertices that are not on the surface."""
+    forward = np.full(source.file_count, -1, dtype=np.int64)
+    forward[source.file_index] = target.file_index[maps.target_of_source]
+    backward = np.full(target.file_count, -1, dtype=np.int64)
+    backward[target.file_index] = source.file_index[maps.source_of_target]
+    return forward, backward
+
+
+def _points_in_file_numbering(
+    source: Mesh, points: SurfacePoints | None
+) -> tuple[NDArray[np.int64] | None, NDArray[np.float64] | None]:
+    """Return faces of the target and weights for every source vertex of the file; −1 and 0 off the surface."""
+    if points is None:
+        return None, None
+    faces = np.full(source.file_count, -1, dtype=np.int64)
+    faces[source.file_index] = points.faces
+    barycentric = np.zeros((source.file_count, 3))
+    barycentric[source.file_index] = points.barycentric
+    return faces, barycentric
+
+
+def local_distortion(source: Shape, target: Shape, target_of_source: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return for each source vertex the mean change of its distances to the farthest-point samples.
+
+    Distances on the target come from its low-rank factors, good to about 0.5 % of the diameter.
+
+    Returns
+    -------
+    (n_x,) float64, in units of sqrt(area).
+    """
+    rows = source.geodesics.rows
+    samples = source.geodesics.samples[: len(rows)]
+    weights = source.geodesics.sample_weights(len(rows))
+    left = target.factors.left
+    mapped = (left[target_of_source[samples]] @ target.factors.core) @ left.T
+    return np.asarray(weights @ np.abs(rows - mapped[:, target_of_source]), dtype=np.float64)
+
+
+def _alternatives(state: MatchState) -> tuple[Alternative, ...]:
+    if state.found is None:
+        return ()
+    return tuple(
+        Alternative(
+            *_in_file_numbering(state.source.mesh, state.target.mesh, maps),
+            score=candidate.score,
+            orientation=candidate.orientation,
+            distance=candidate.distance,
+        )
+        for maps, candidate in zip(state.alternatives, state.found.alternatives, strict=False)
+    )
+
+
+def _warnings(state: MatchState, confidence: float, options: Options) -> tuple[str, ...]:
+    """Return what a user has to know; doubts about the map itself are raised as Python warnings, too.
+
+    Those are a low confidence or orientation, a map that was not searched for, and an objective without a finite value.
+    What the user has done (Ctrl-C), asked for (more maps than there are) or can read of a mesh in its notes is only
+    returned.
+    """
+    messages, count = [], len(state.alternatives)
+    if state.interrupted:
+        messages.append("interrupted: what was left to do was cut short, and the best map so far was kept")
+    elif state.found is not None and count < options.search.alternatives:
+        found = f"only {count} different map{' was' if count == 1 else 's were'}"
+        messages.append(f"{found if count else 'no different map was'} found ({options.search.alternatives} asked for)")
+    messages += [f"{mesh.name}: {note}" for mesh in (state.source.mesh, state.target.mesh) for note in mesh.notes]
+    failures = [NO_FINITE_VALUE] if required(state.aligned).status == "failed" else []
+    doubts = _doubts(state, confidence, options.rules.judgement)
+    for texts, category in ((failures, ClalignWarning), (doubts, ConfidenceWarning)):
+        for text in texts:
+            python_warnings.warn(text, category, stacklevel=_users_level())
+    return (*messages, *failures, *doubts)
+
+
+def _doubts(state: MatchState, confidence: float, rules: JudgementRules) -> list[str]:
+    if state.found is None:
+        return ["no search was made (search.method=random), so the map may be mirrored or wrong"]
+    doubts, orientation = [], state.found.chosen.orientation
+    if abs(orientation) < rules.low_orientation:
+        doubts.append(
+            f"orientation {orientation:+.2f}: parts of the map are turned inside out; one shape may be a "
+            "part of the other, mirrored, or too different; look at the page"
+        )
+    if confidence < rules.low_confidence:
+        way = (
+            "see the alternatives on the page"
+            if state.alternatives
+            else "ask for --alternatives 3 to see the alternatives"
+        )
+        doubts.append(
+            f"low confidence ({confidence:.2f}): a different map explains the shapes almost as well; "
+            f"look at the picture, and {way}"
+        )
+    return doubts
+
+
+def _users_level() -> int:
+    """Return the level, for a warning of the calling function, of the innermost line outside this package.
+
+    It is the user's own, whichever of the package's functions that was called by.
+    """
+    level, frame = 0, inspect.currentframe()
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == PACKAGE:
+        level, frame = level + 1, frame.f_back
+    return level
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for name in ("clalign", "numpy", "scipy", "trimesh", "pyopencl", "nlopt", "potpourri3d"):
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed as a package"
+    return versions
