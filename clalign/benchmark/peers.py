@@ -66,8 +66,7 @@ class PyfmMethod:
             target_of_source = np.asarray(model.get_p2p(refined), dtype=np.int64)
         end = time.perf_counter()
         source, target = problem.source, problem.target
-        index = np.full(source.file_count, -1, dtype=np.int64)
-        index[source.file_index] = target.file_index[target_of_source]
+        index = source.map_to_file(target, target_of_source)
         stages = {"spectra": prepared - start, "fit": fitted - prepared, "zoomout": end - fitted}
         return Outcome(index, end - start, stages)
 

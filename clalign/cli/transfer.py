@@ -102,7 +102,7 @@ def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
 
 def _texture(correspondence: Correspondence, args: argparse.Namespace) -> None:
     from clalign.errors import InputError
-    from clalign.presentation.exports import file_positions, write_textured_obj
+    from clalign.presentation.exports import write_textured_obj
     from clalign.presentation.texture import carry_texture, read_texture
     from clalign.transfer.transfer import sides
 
@@ -110,7 +110,7 @@ def _texture(correspondence: Correspondence, args: argparse.Namespace) -> None:
         raise InputError(f"{args.out}: a texture is written as .obj")
     _, there = sides(correspondence, args.origin)
     carried = carry_texture(correspondence, read_texture(args.file), origin=args.origin)
-    write_textured_obj(args.out, file_positions(there), carried)
+    write_textured_obj(args.out, there.file_positions(), carried)
 
 
 def _deformation(correspondence: Correspondence, args: argparse.Namespace) -> None:
@@ -125,6 +125,6 @@ def _deformation(correspondence: Correspondence, args: argparse.Namespace) -> No
     moved = carry_deformation(correspondence, read_mesh_file(args.file).vertices, origin=args.origin)
     if args.out.suffix.lower() in MESH_SUFFIXES:
         positions = np.where(np.isfinite(moved), moved, there.offset)
-        save_mesh(args.out, positions, there.file_index[there.faces])
+        save_mesh(args.out, positions, there.file_faces)
     else:
         write_values(args.out, moved, there)

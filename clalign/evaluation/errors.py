@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from clalign.errors import ResultError
 from clalign.evaluation.distances import METHODS, DistanceMethod, Distances
-from clalign.evaluation.numbering import compact_of_file
 from clalign.evaluation.quality import MapQuality, map_quality
 from clalign.evaluation.truth import Truth
 from clalign.mesh.mesh import Mesh
@@ -304,15 +303,14 @@ def _compact_problem(
         mirrored.check_against(source.file_count, target.file_count)
         if mirrored.count != truth.count:
             raise ResultError(f"the mirrored truth has {mirrored.count} lines and the truth {truth.count}")
-    compact_source, compact_target = compact_of_file(source), compact_of_file(target)
-    matched = index[source.file_index]
-    target_of_source = np.where(matched >= 0, compact_target[matched], -1)
-    off = np.flatnonzero((matched >= 0) & (target_of_source < 0))
+    source_vertex, target_vertex = source.vertex_of_file(), target.vertex_of_file()
+    target_of_source = source.map_from_file(target, index)
+    off = np.flatnonzero((source.from_file(index) >= 0) & (target_of_source < 0))
     if off.size:
         raise ResultError(f"source vertex {source.file_index[off[0]]} is matched to a target vertex that is on no face")
-    ends = [compact_source[truth.source_points[lines]], compact_target[truth.target_points[lines]]]
+    ends = [source_vertex[truth.source_points[lines]], target_vertex[truth.target_points[lines]]]
     if mirrored is not None:
-        ends.append(compact_target[mirrored.target_points[lines]])
+        ends.append(target_vertex[mirrored.target_points[lines]])
     on_surface = np.logical_and.reduce([end >= 0 for end in ends])
     has_match = on_surface & (target_of_source[ends[0]] >= 0)
     if not has_match.any():

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from clalign.errors import ResultError
-from clalign.evaluation.numbering import compact_of_file
 from clalign.evaluation.truth import Truth
 from clalign.geometry.geodesics import DistanceFactors, Geodesics
 from clalign.geometry.shape import Shape
@@ -55,8 +54,8 @@ def total_maps(source: Mesh, target: Mesh, truth: Truth) -> tuple[NDArray[np.int
         The truth has no point on both surfaces.
     """
     truth.check_against(source.file_count, target.file_count)
-    source_points = compact_of_file(source)[truth.source_points]
-    target_points = compact_of_file(target)[truth.target_points]
+    source_points = source.vertex_of_file()[truth.source_points]
+    target_points = target.vertex_of_file()[truth.target_points]
     known = (source_points >= 0) & (target_points >= 0)
     if not known.any():
         raise ResultError(f"the truth has no point on both {source.name} and {target.name}")

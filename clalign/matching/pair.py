@@ -22,11 +22,9 @@ from clalign.errors import ClalignWarning, ConfidenceWarning
 from clalign.geometry.cache import ShapeCache
 from clalign.geometry.shape import Shape, prepare_pair
 from clalign.geometry.workers import single_threaded_blas
-from clalign.maps.functional_maps import PointMaps
 from clalign.matching.stages import AlignedPair, Clock, align_pair
 from clalign.mesh.mesh import Mesh, as_mesh
 from clalign.options import Options
-from clalign.refinement.precise import SurfacePoints
 from clalign.resources.forecast import require_memory
 
 LOG = logging.getLogger(__name__)
@@ -114,14 +112,12 @@ def _correspondence(
 ) -> Correspondence:
     found = pair.search
     confidence = float("nan") if found is None else 1.0 - float(np.exp(-found.confidence))
-    size = len(pair.functional)
-    forward, backward = _in_file_numbering(source.mesh, target.mesh, pair.maps)
-    faces, barycentric = _points_in_file_numbering(source.mesh, pair.points)
+    size, maps, points = len(pair.functional), pair.maps, pair.points
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
-        target_of_source=forward,
-        source_of_target=backward,
+        target_of_source=source.mesh.map_to_file(target.mesh, maps.target_of_source),
+        source_of_target=target.mesh.map_to_file(source.mesh, maps.source_of_target),
         functional_map=pair.functional,
         rotation=pair.alignment.rotation,
         source_basis=source.basis.head(size),
@@ -132,39 +128,17 @@ def _correspondence(
         losses=pair.alignment.losses,
         confidence=confidence,
         orientation=float("nan") if found is None else found.orientation,
-        distortion=local_distortion(source, target, pair.maps.target_of_source),
+        distortion=local_distortion(source, target, maps.target_of_source),
         alternatives=_alternatives(source, target, pair),
         timings=pair.timings,
         warnings=_warnings(source.mesh, target.mesh, pair, confidence, options.search.alternatives),
         device=backend.name,
         options=options,
         versions=_versions(),
-        source_faces=faces,
-        source_barycentric=barycentric,
+        source_faces=None if points is None else source.mesh.to_file(points.faces, -1),
+        source_barycentric=None if points is None else source.mesh.to_file(points.barycentric, 0.0),
         score=float("nan") if found is None else found.score,
     )
-
-
-def _in_file_numbering(source: Mesh, target: Mesh, maps: PointMaps) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the maps between the vertices of the files; −1 for vertices that are not on the surface."""
-    forward = np.full(source.file_count, -1, dtype=np.int64)
-    forward[source.file_index] = target.file_index[maps.target_of_source]
-    backward = np.full(target.file_count, -1, dtype=np.int64)
-    backward[target.file_index] = source.file_index[maps.source_of_target]
-    return forward, backward
-
-
-def _points_in_file_numbering(
-    source: Mesh, points: SurfacePoints | None
-) -> tuple[NDArray[np.int64] | None, NDArray[np.float64] | None]:
-    """Return faces of the target and weights for every source vertex of the file; −1 and 0 off the surface."""
-    if points is None:
-        return None, None
-    faces = np.full(source.file_count, -1, dtype=np.int64)
-    faces[source.file_index] = points.faces
-    barycentric = np.zeros((source.file_count, 3))
-    barycentric[source.file_index] = points.barycentric
-    return faces, barycentric
 
 
 def local_distortion(source: Shape, target: Shape, target_of_source: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -190,11 +164,10 @@ def _alternatives(source: Shape, target: Shape, pair: AlignedPair) -> tuple[Alte
     found = pair.search
     alternatives = []
     for number, maps in enumerate(pair.rivals):
-        forward, backward = _in_file_numbering(source.mesh, target.mesh, maps)
         alternatives.append(
             Alternative(
-                forward,
-                backward,
+                source.mesh.map_to_file(target.mesh, maps.target_of_source),
+                target.mesh.map_to_file(source.mesh, maps.source_of_target),
                 score=found.rival_scores[number],
                 orientation=found.rival_orientations[number],
                 distance=found.rival_distances[number],

@@ -31,13 +31,6 @@ _TEXTURE_SQUARES = 24
 _MATERIAL = "newmtl checkers\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd texture.png\n"
 
 
-def file_positions(mesh: Mesh) -> NDArray[np.float64]:
-    """Return (file_count, 3) positions in the file's unit; vertices off the surface lie at the centroid."""
-    positions = np.tile(mesh.offset, (mesh.file_count, 1))
-    positions[mesh.file_index] = mesh.file_vertices()
-    return positions
-
-
 def export_ply(correspondence: Correspondence, folder: str | Path, *, up: Up | None = None) -> list[Path]:
     """Write ``source.ply`` and ``target.ply``, coloured alike where they match. Returns the files."""
     target = correspondence.target
@@ -46,9 +39,7 @@ def export_ply(correspondence: Correspondence, folder: str | Path, *, up: Up | N
     written = []
     for side, mesh, rows in (("source", correspondence.source, carried), ("target", target, colours)):
         path = _ready(folder) / f"{side}.ply"
-        on_file = np.full((mesh.file_count, 3), 0.5)
-        on_file[mesh.file_index] = rows
-        save_mesh(path, file_positions(mesh), mesh.file_index[mesh.faces], on_file)
+        save_mesh(path, mesh.file_positions(), mesh.file_faces, mesh.to_file(rows, 0.5))
         written.append(path)
     return written
 
@@ -66,8 +57,8 @@ def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | N
     folder = _ready(folder)
     materials = ("mtllib texture.mtl", "usemtl checkers")
     for side, mesh, rows in (("source", correspondence.source, carried), ("target", target, laid)):
-        texture = Texture(rows, mesh.faces.astype(np.int64), mesh.file_index[mesh.faces], materials)
-        write_textured_obj(folder / f"{side}.obj", file_positions(mesh), texture)
+        texture = Texture(rows, mesh.faces.astype(np.int64), mesh.file_faces, materials)
+        write_textured_obj(folder / f"{side}.obj", mesh.file_positions(), texture)
     (folder / "texture.mtl").write_text(_MATERIAL, encoding="ascii")
     write_png(folder / "texture.png", _checkers())
     return [folder / name for name in ("source.obj", "target.obj", "texture.mtl", "texture.png")]

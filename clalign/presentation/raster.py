@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.mesh.topology import vertex_normals
+
 _BLOCK = 1 << 17
 _DEPTH_LEVELS = 1 << 30
 _KEY_LIGHT = np.array([-0.38, 0.52, 0.76])
@@ -53,22 +55,6 @@ def rasterise(
         blocks = lit.reshape(last - first, supersample, size[0], supersample, 3).mean(axis=(1, 3))
         image[first:last] = np.rint(_encoded(blocks) * 255.0)
     return np.ascontiguousarray(image[::-1])
-
-
-def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Return (n, 3) unit normals: the area-weighted mean of the faces around each vertex (zero where there is none)."""
-    edge_a = vertices[faces[:, 1]] - vertices[faces[:, 0]]
-    edge_b = vertices[faces[:, 2]] - vertices[faces[:, 0]]
-    face_normals = np.cross(edge_a, edge_b)
-    normals = np.stack(
-        [
-            np.bincount(faces.ravel(), weights=np.repeat(face_normals[:, axis], 3), minlength=len(vertices))
-            for axis in range(3)
-        ],
-        axis=1,
-    )
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.where(lengths > 0, lengths, 1.0))
 
 
 def write_png(path: str | Path, image: NDArray[np.uint8]) -> None:

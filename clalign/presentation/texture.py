@@ -116,7 +116,7 @@ def carry_texture(correspondence: Correspondence, texture: Texture, *, origin: S
         around[(chosen < 0).any(axis=1)] = np.inf
         better = around < shortest
         best[better], shortest[better] = chosen[better], around[better]
-    return Texture(texture.coordinates, best, there.file_index[there.faces], texture.materials)
+    return Texture(texture.coordinates, best, there.file_faces, texture.materials)
 
 
 def _choices(texture: Texture, vertices: int) -> NDArray[np.int64]:

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
 from clalign.mesh.mesh import mesh_from_arrays
-from clalign.presentation.exports import file_positions
 from clalign.presentation.texture import Texture, carry_texture, read_texture
 from clalign.presentation.value_files import read_values, write_values
 from clalign.transfer.transfer import carry_deformation, carry_labels, carry_landmarks, carry_values
@@ -64,7 +63,7 @@ def test_wrong_number_of_rows_is_named(small: Correspondence, rows: int) -> None
 
 def test_stretching_is_carried_closely(small: Correspondence) -> None:
     change = np.diag([1.3, 1.0, 0.8]) @ Rotation.from_euler("xyz", [20, -35, 50], degrees=True).as_matrix()
-    result = carry_deformation(small, file_positions(small.source) @ change.T + (3.0, -1.0, 2.0))
+    result = carry_deformation(small, small.source.file_positions() @ change.T + (3.0, -1.0, 2.0))
     assert np.isnan(result[0]).all()
     expected = small.target.file_vertices() @ change.T
     error = (result[1:] - result[1:].mean(axis=0)) - (expected - expected.mean(axis=0))
@@ -74,7 +73,7 @@ def test_stretching_is_carried_closely(small: Correspondence) -> None:
 
 def test_rigid_and_uniform_deformations_are_carried_exactly(small: Correspondence) -> None:
     change = 1.7 * Rotation.from_euler("xyz", [20, -35, 50], degrees=True).as_matrix()
-    result = carry_deformation(small, file_positions(small.source) @ change.T)[1:]
+    result = carry_deformation(small, small.source.file_positions() @ change.T)[1:]
     expected = small.target.file_vertices() @ change.T
     error = (result - result.mean(axis=0)) - (expected - expected.mean(axis=0))
     assert np.abs(error).max() < 1e-9 * small.target.scale
@@ -93,7 +92,7 @@ def test_bending_is_carried_to_another_mesh_of_the_shape(fabricated: object) -> 
 
 
 def test_deformation_needs_finite_positions(small: Correspondence) -> None:
-    moved = file_positions(small.source)
+    moved = small.source.file_positions()
     moved[9, 1] = np.nan
     with pytest.raises(InputError, match="finite"):
         carry_deformation(small, moved)
@@ -112,7 +111,7 @@ def _cylinder_texture(vertices: np.ndarray, faces: np.ndarray) -> Texture:
 
 def test_texture_with_a_seam_is_carried_untorn(small: Correspondence) -> None:
     source, target = small.source, small.target
-    texture = _cylinder_texture(file_positions(source), source.file_index[source.faces])
+    texture = _cylinder_texture(source.file_positions(), source.file_index[source.faces])
     carried = carry_texture(small, texture)
     assert np.array_equal(carried.faces, target.file_index[target.faces])
 
