@@ -26,25 +26,23 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def show_info(args: argparse.Namespace) -> int:
     """Print folder, entries, size and limit."""
     from clalign.geometry.cache import ShapeCache
+    from clalign.storage import size_text
 
     info = ShapeCache().info()
     if args.json:
         values = {"folder": str(info.folder), "entries": info.entries, "bytes": info.size, "limit": info.limit}
         print(json.dumps(values, indent=2))
     else:
-        print(f"{info.folder}: {info.entries} entries, {_mib(info.size)} of at most {_mib(info.limit)}")
+        print(f"{info.folder}: {info.entries} entries, {size_text(info.size)} of at most {size_text(info.limit)}")
     return 0
 
 
 def clear_all(_: argparse.Namespace) -> int:
     """Remove every entry."""
     from clalign.geometry.cache import ShapeCache
+    from clalign.storage import size_text
 
     cache = ShapeCache()
     size = cache.info().size
-    print(f"{cache.folder}: removed {cache.clear()} entries, {_mib(size)}")
+    print(f"{cache.folder}: removed {cache.clear()} entries, {size_text(size)}")
     return 0
-
-
-def _mib(size: int) -> str:
-    return f"{size / 2**20:.1f} MiB"

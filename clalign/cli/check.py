@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.cli.terminal import Terminal, table
+from clalign.storage import size_text
 
 if TYPE_CHECKING:
     from clalign.mesh.defects import Diagnosis
@@ -259,9 +260,9 @@ def _boundaries(count: int) -> str:
 
 def _cost(predicted: dict[str, Any]) -> str:
     available = predicted["available"]
-    room = "" if available is None else f" of {available / 2**30:.1f} GiB that are free"
+    room = "" if available is None else f" of {size_text(available)} that are free"
     verdict = " (TOO MUCH)" if available is not None and predicted["memory"] > available else ""
-    return f"about {_duration(predicted['seconds'])}, {predicted['memory'] / 2**30:.1f} GiB{room}{verdict}"
+    return f"about {_duration(predicted['seconds'])}, {size_text(predicted['memory'])}{room}{verdict}"
 
 
 def _duration(seconds: float) -> str:
