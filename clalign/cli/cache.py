@@ -26,7 +26,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def show_info(args: argparse.Namespace) -> int:
     """Print folder, entries, size and limit."""
     from clalign.geometry.cache import ShapeCache
-    from clalign.storage import size_text
+    from clalign.storage.files import size_text
 
     info = ShapeCache().info()
     if args.json:
@@ -40,7 +40,7 @@ def show_info(args: argparse.Namespace) -> int:
 def clear_all(_: argparse.Namespace) -> int:
     """Remove every entry."""
     from clalign.geometry.cache import ShapeCache
-    from clalign.storage import size_text
+    from clalign.storage.files import size_text
 
     cache = ShapeCache()
     size = cache.info().size

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.cli.terminal import Terminal, table
-from clalign.storage import size_text
+from clalign.storage.files import size_text
 
 if TYPE_CHECKING:
     from clalign.mesh.defects import Diagnosis
@@ -83,7 +83,7 @@ def _check_usage(args: argparse.Namespace) -> None:
     """Find every mistake in the arguments before any mesh is read."""
     from clalign.errors import OptionError
     from clalign.mesh.writing import require_format
-    from clalign.storage import check_files
+    from clalign.storage.folders import check_files
 
     if args.repair is None:
         if args.merge or args.force:
@@ -192,7 +192,7 @@ def repair_file(path: Path, out: Path, *, merge: bool, force: bool) -> dict[str,
     from clalign.mesh.reading import read_mesh_file
     from clalign.mesh.repair import repair
     from clalign.mesh.writing import save_mesh
-    from clalign.storage import atomic_files
+    from clalign.storage.folders import atomic_files
 
     raw = read_mesh_file(path)
     try:

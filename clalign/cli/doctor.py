@@ -14,7 +14,7 @@ from typing import Any
 
 from clalign.cli.probe import probe
 from clalign.cli.terminal import table
-from clalign.storage import KERNEL_VARIABLE, size_text
+from clalign.storage.files import KERNEL_VARIABLE, size_text
 
 PACKAGES = ("numpy", "scipy", "trimesh", "pyopencl", "nlopt", "potpourri3d")
 VARIABLES = (

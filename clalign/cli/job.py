@@ -124,7 +124,7 @@ def run_job(
 
     from clalign.correspondence import FACTS_FILE
     from clalign.mesh.mesh import load_mesh
-    from clalign.storage import check_destination
+    from clalign.storage.folders import check_destination
 
     with Interrupts() as interrupts:
         source, target = load_mesh(source_path), load_mesh(target_path)

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from clalign.storage import RowFile
+from clalign.storage.rows import RowFile
 
 PAIRS_FILE = "pairs.csv"
 SHAPES_FILE = "shapes.csv"

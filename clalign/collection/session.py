@@ -19,7 +19,7 @@ from clalign.geometry.cache import ShapeCache
 from clalign.geometry.shape import Shape, equally_smoothed, prepare
 from clalign.mesh.mesh import load_mesh
 from clalign.options import Options
-from clalign.storage import claim_kernel_folder
+from clalign.storage.files import claim_kernel_folder
 
 HELD_SHAPES = 4
 """Prepared shapes that a worker keeps in memory: those of its pair, and two that a next pair may need."""

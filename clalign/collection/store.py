@@ -25,7 +25,8 @@ from clalign.collection.network import Network
 from clalign.collection.rows import PairRow, plain
 from clalign.errors import OptionError, ResultError
 from clalign.options import Options
-from clalign.storage import atomic_folder, recover, replaced_file
+from clalign.storage.files import replaced_file
+from clalign.storage.folders import atomic_folder, recover
 
 try:
     import fcntl

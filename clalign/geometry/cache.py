@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.storage import cache_folder, replaced_file
+from clalign.storage.files import cache_folder, replaced_file
 
 logger = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clalign.errors import MeshError
-from clalign.storage import replaced_file
+from clalign.storage.files import replaced_file
 
 Colours = NDArray[np.uint8] | None
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 
-from clalign.storage import replaced_file
+from clalign.storage.files import replaced_file
 
 
 def head(title: str, style: str, images: str) -> str:

@@ -10,7 +10,7 @@ import pytest
 
 from clalign.cli.main import main
 from clalign.geometry.cache import ShapeCache, content_key
-from clalign.storage import size_text
+from clalign.storage.files import size_text
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Files and folders that are written wholly or not at all, tables that grow row by row, and the user's cache folder.
+"""Folders, and groups of files, that are written wholly or not at all.
 
 A folder is built beside its destination under a name that starts with a dot, flushed to the disk, and renamed. A kill
 at any moment leaves the old folder, the new one, or (between two renames) the old one under a name that `recover`
@@ -8,38 +8,24 @@ puts back; what a killed process left behind is removed by the next one that wri
 from __future__ import annotations
 
 import contextlib
-import csv
-import io
 import logging
 import os
 import secrets
 import shutil
-import tempfile
-import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import fields
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any, Generic, TypeVar, get_type_hints
 
 from clalign.errors import ResultError
 
 try:
     import fcntl
-except ImportError:  # Windows has no flock: leftovers are told from live folders by their age, kernels compiled anew
+except ImportError:  # Windows has no flock: leftovers are then told from live folders by their age
     fcntl = None  # type: ignore[assignment]
 
 _log = logging.getLogger(__name__)
 
 _STALE_SECONDS = 86400.0
-
-KERNEL_VARIABLE = "POCL_CACHE_DIR"
-"""Environment variable with the folder in which PoCL keeps compiled kernels."""
-
-_kernel_lock: int | None = None
-_claim = threading.Lock()
-
-Row = TypeVar("Row")
 
 
 def check_destination(folder: Path, marker: str, *, force: bool) -> None:
@@ -94,25 +80,6 @@ def _probe(folder: Path) -> None:
         raise ResultError(
             f"{folder}: cannot be written, {parent} takes no new folder ({reason}); choose another --out"
         ) from error
-
-
-@contextlib.contextmanager
-def replaced_file(path: Path, *, durable: bool = False) -> Iterator[IO[bytes]]:
-    """Open a temporary file that takes the place of `path` when the block ends without an error, and is removed else.
-
-    durable : force the content to the disk first, so that a power cut leaves the old file or the new one.
-    """
-    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
-    try:
-        with unfinished.open("xb") as stream:
-            yield stream
-            if durable:
-                stream.flush()
-                os.fsync(stream.fileno())
-        os.replace(unfinished, path)
-    finally:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
 
 
 @contextlib.contextmanager
@@ -296,146 +263,3 @@ def _swap(temporary: Path, folder: Path) -> None:
         shutil.rmtree(kept, ignore_errors=True)
     finally:
         _unlock(lock)
-
-
-def append_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Add rows to a CSV file, below a header if it is new, and force them to the disk.
-
-    A line that a kill cut short is removed first.
-    """
-    with path.open("a+b") as stream:
-        if stream.tell() and stream.seek(-1, os.SEEK_END) >= 0 and stream.read(1) != b"\n":
-            stream.seek(0)
-            stream.truncate(stream.read().rfind(b"\n") + 1)
-        begun = stream.seek(0, os.SEEK_END) > 0
-        stream.write(_csv(rows if begun else [header, *rows]).encode())
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def complete_rows(path: Path, header: Sequence[str]) -> list[list[str]]:
-    """Return the complete rows of a CSV file of `append_rows`; none without a file.
-
-    Raises
-    ------
-    ResultError
-        The file has another header.
-    """
-    if not path.is_file():
-        return []
-    # Line by line, as no cell holds a line break: a line that was cut inside quotes must not swallow the next one.
-    *lines, _ = path.read_text(encoding="utf-8").split("\n")
-    rows = [next(csv.reader([line])) for line in lines if line]
-    if rows and rows[0] != list(header):
-        raise ResultError(f"{path}: was not written by this version of clalign; choose another --out")
-    return [cells for cells in rows[1:] if len(cells) == len(header)]
-
-
-class RowFile(Generic[Row]):
-    """Rows of one dataclass in a CSV file that any program reads, one line each.
-
-    Fields are texts, or int, float or bool or else None, which is an empty cell; those with ``"stored": False`` in
-    their metadata are left out.
-
-    Parameters
-    ----------
-    path : the file.
-    kind : the dataclass.
-    digits : of floats.
-    """
-
-    def __init__(self, path: Path, kind: type[Row], digits: int = 9) -> None:
-        self.path, self.kind, self.digits = path, kind, digits
-        stored: Any = kind
-        self.header = [item.name for item in fields(stored) if item.metadata.get("stored", True)]
-
-    def read(self) -> list[Row]:
-        """Return the complete rows; see `complete_rows` for what is raised."""
-        hints = get_type_hints(self.kind)
-        return [
-            self.kind(**{name: _value(hints[name], cell) for name, cell in zip(self.header, cells, strict=True)})
-            for cells in complete_rows(self.path, self.header)
-        ]
-
-    def append(self, row: Row) -> None:
-        """Add a row and force it to the disk."""
-        append_rows(self.path, self.header, [self._cells(row)])
-
-    def write(self, rows: Iterable[Row]) -> None:
-        """Write the whole file anew; the earlier one is replaced at once."""
-        with replaced_file(self.path, durable=True) as stream:
-            stream.write(_csv([self.header, *map(self._cells, rows)]).encode())
-
-    def _cells(self, row: Row) -> list[str]:
-        return [self._cell(getattr(row, name)) for name in self.header]
-
-    def _cell(self, value: Any) -> str:
-        if value is None:
-            return ""
-        # A line break inside a cell is good CSV, but a cut line could then not be told from a whole one.
-        return f"{value:.{self.digits}g}" if isinstance(value, float) else " ".join(str(value).splitlines())
-
-
-def _csv(rows: Iterable[Sequence[str]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
-
-
-def _value(hint: Any, cell: str) -> Any:
-    if hint == bool | None and cell:
-        return cell == "True"
-    for kind in (bool, int, float):
-        if hint == kind | None:
-            return kind(cell) if cell else None
-    return cell
-
-
-def size_text(size: float) -> str:
-    """Return a number of bytes as people read it."""
-    if size >= 2**30:
-        return f"{size / 2**30:.1f} GiB"
-    for unit, name in ((2**20, "MiB"), (2**10, "KiB")):
-        if size >= unit:
-            return f"{size / unit:.0f} {name}"
-    return f"{size:.0f} bytes"
-
-
-def cache_folder() -> Path:
-    """Return the folder named by the environment variable ``CLALIGN_CACHE``, or the user's cache folder."""
-    named = os.environ.get("CLALIGN_CACHE", "")
-    if named:
-        return Path(named).expanduser()
-    import platformdirs
-
-    return Path(platformdirs.user_cache_dir("clalign"))
-
-
-def claim_kernel_folder() -> None:
-    """Give this process a folder of compiled kernels that no other process writes to, and keep it until the end.
-
-    PoCL's breaks when several processes write to it. Folders are numbered and used again by later processes, so that
-    kernels are compiled once a worker, not once a run. Works only before the driver is loaded.
-    """
-    global _kernel_lock
-    with _claim:
-        if _kernel_lock is not None:
-            return
-        if fcntl is None:
-            os.environ[KERNEL_VARIABLE] = tempfile.mkdtemp(prefix="clalign-kernels-")
-            _kernel_lock = -1
-            return
-        named = os.environ.get(KERNEL_VARIABLE)
-        root = Path(named) if named else cache_folder() / "kernels"
-        number = 0
-        while _kernel_lock is None:
-            folder = root / f"worker-{number}"
-            folder.mkdir(parents=True, exist_ok=True)
-            handle = os.open(folder, os.O_RDONLY)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                _kernel_lock = handle
-            except OSError:
-                os.close(handle)
-                number += 1
-        os.environ[KERNEL_VARIABLE] = str(folder)
