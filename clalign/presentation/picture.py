@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.presentation.camera import Up, front_view, turn_to
-from clalign.presentation.colours import UNMATCHED, function_colours, position_colours
-from clalign.presentation.lettering import with_word
-from clalign.presentation.raster import png_bytes, rasterise, write_png
+from clalign.presentation.colours import UNMATCHED, position_colours
+from clalign.presentation.raster import png_bytes, rasterise, with_word, write_png
 from clalign.transfer.surface_map import SurfaceMap, surface_map
 
 _MARGIN = 0.05
@@ -56,34 +55,6 @@ def match_image(correspondence: Correspondence, *, height: int = 900, up: Up | N
     )
 
 
-def function_image(
-    shapes: Sequence[tuple[NDArray[np.floating], NDArray[np.integer]]],
-    values: Sequence[NDArray[np.floating]],
-    *,
-    height: int = 600,
-    up: Up | None = None,
-) -> NDArray[np.uint8]:
-    """Draw one signed function per shape, side by side with a common colour scale.
-
-    Parameters
-    ----------
-    shapes : pairs of vertices (n, 3) and faces (m, 3).
-    values : for every shape an (n,) array; white is zero, red positive, blue negative.
-    height : of the picture, in pixels.
-    up : coordinate axis that points up.
-
-    Returns
-    -------
-    (height, width, 3) uint8.
-    """
-    limit = float(np.quantile(np.abs(np.concatenate([np.ravel(v) for v in values])), 0.99))
-    drawn = []
-    for (vertices, faces), function in zip(shapes, values, strict=True):
-        view = front_view(vertices, up)
-        drawn.append((vertices @ view.T, faces, function_colours(function, limit=limit)))
-    return draw_row(drawn, height)
-
-
 def carried_colours(target_colours: NDArray[np.float64], to_target: SurfaceMap) -> NDArray[np.float64]:
     """Return (n_x, 3) colours pulled back from the target; grey where a source vertex has no match."""
     return np.where(to_target.matched[:, None], to_target.pull(target_colours), UNMATCHED)
@@ -110,7 +81,7 @@ def draw_row(
     shapes : for each the vertices (n, 3) in viewing coordinates (right, up, towards the viewer), faces (m, 3) and
         colours (n, 3) in [0, 1].
     height : of the picture, in pixels.
-    words : one below each shape, where the picture is high enough (see `lettering`); none if empty.
+    words : one below each shape, where the picture is high enough; none if empty.
 
     Returns
     -------

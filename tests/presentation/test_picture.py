@@ -13,9 +13,8 @@ from clalign.errors import ResultError
 from clalign.mesh.mesh import mesh_from_arrays
 from clalign.presentation.camera import front_view, turn_to
 from clalign.presentation.colours import UNMATCHED, amount_colours, function_colours, position_colours
-from clalign.presentation.lettering import word_mask
 from clalign.presentation.notebook import notebook_html
-from clalign.presentation.picture import carried_colours, function_image, match_image, save_match_picture
+from clalign.presentation.picture import carried_colours, match_image, save_match_picture
 from clalign.transfer.surface_map import surface_map
 
 
@@ -137,16 +136,15 @@ def test_picture_has_both_shapes_alike_and_apart(small: Correspondence, tmp_path
 def test_words_stand_below_the_shapes(small: Correspondence) -> None:
     image = match_image(small, height=600)
     middle = image.shape[1] // 2
-    margin = image[570:]
-    for word, half in (("source", margin[:, :middle]), ("target", margin[:, middle:])):
-        ink = (half < 255).any(axis=2)
+    widths = []
+    for half in (image[570:, :middle], image[570:, middle:]):
+        ink = (half < 200).all(axis=2)
         rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
-        letters = word_mask(word, 2)
-        drawn = ink[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        inked = np.flatnonzero(letters.any(axis=1))
-        assert np.array_equal(drawn, letters[inked[0] : inked[-1] + 1])
-    shown = {word: word_mask(word).tobytes() for word in "source target".replace(" ", "")}
-    assert len(set(shown.values())) == len(shown)
+        assert 8 <= np.ptp(rows) <= 24
+        assert (columns[0] + columns[-1]) / 2 == pytest.approx(middle / 2, abs=2)
+        widths.append(np.ptp(columns))
+    assert min(widths) > 30
+    assert widths[0] != widths[1]
     low = match_image(small, height=100)
     assert (low[95:] == 255).all()
 
@@ -160,14 +158,6 @@ def test_a_turned_source_is_drawn_as_its_target(fabricated: object) -> None:
     image = match_image(result, height=160).astype(int)
     half = image.shape[1] // 2
     assert np.abs(image[:, :half] - image[:, half : 2 * half]).mean() < 2
-
-
-def test_function_image_shows_both_signs(small: Correspondence) -> None:
-    meshes = [(small.source.vertices, small.source.faces), (small.target.vertices, small.target.faces)]
-    image = function_image(meshes, [small.source_aligned[:, 1], small.target_aligned[:, 1]], height=160).astype(int)
-    drawn = image[(image < 250).any(axis=2)]
-    assert ((drawn[:, 0] - drawn[:, 2]) > 60).sum() > 500
-    assert ((drawn[:, 2] - drawn[:, 0]) > 60).sum() > 500
 
 
 def test_notebook_html_escapes_and_shows(small: Correspondence) -> None:
