@@ -86,8 +86,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
-    from clalign.presentation.value_files import read_values, write_values
     from clalign.transfer import transfer
+    from clalign.transfer.value_files import read_values, write_values
 
     origin, (_, there) = args.origin, transfer.sides(correspondence, args.origin)
     whole = args.kind in ("labels", "landmarks")
@@ -102,8 +102,7 @@ def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
 
 def _texture(correspondence: Correspondence, args: argparse.Namespace) -> None:
     from clalign.errors import InputError
-    from clalign.presentation.exports import write_textured_obj
-    from clalign.presentation.texture import carry_texture, read_texture
+    from clalign.transfer.texture import carry_texture, read_texture, write_textured_obj
     from clalign.transfer.transfer import sides
 
     if args.out.suffix.lower() != ".obj":
@@ -118,8 +117,8 @@ def _deformation(correspondence: Correspondence, args: argparse.Namespace) -> No
 
     from clalign.mesh.reading import read_mesh_file
     from clalign.mesh.writing import save_mesh
-    from clalign.presentation.value_files import MESH_SUFFIXES, write_values
     from clalign.transfer.transfer import carry_deformation, sides
+    from clalign.transfer.value_files import MESH_SUFFIXES, write_values
 
     _, there = sides(correspondence, args.origin)
     moved = carry_deformation(correspondence, read_mesh_file(args.file).vertices, origin=args.origin)

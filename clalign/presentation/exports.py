@@ -20,11 +20,10 @@ from clalign.geometry.operators import stiffness
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.writing import save_mesh
 from clalign.presentation.camera import Up, front_view
-from clalign.presentation.colours import position_colours
-from clalign.presentation.picture import carried_colours
 from clalign.presentation.raster import write_png
-from clalign.presentation.texture import Texture
+from clalign.transfer.colours import carried_colours, position_colours
 from clalign.transfer.surface_map import surface_map, vertex_map
+from clalign.transfer.texture import Texture, write_textured_obj
 
 _TEXTURE_SIZE = 512
 _TEXTURE_SQUARES = 24
@@ -62,23 +61,6 @@ def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | N
     (folder / "texture.mtl").write_text(_MATERIAL, encoding="ascii")
     write_png(folder / "texture.png", _checkers())
     return [folder / name for name in ("source.obj", "target.obj", "texture.mtl", "texture.png")]
-
-
-def write_textured_obj(path: str | Path, vertices: NDArray[np.float64], texture: Texture) -> None:
-    """Write an OBJ file with texture coordinates of corners.
-
-    Parameters
-    ----------
-    path : the file.
-    vertices : (n, 3) positions in file numbering.
-    texture : coordinates, corners and faces; its material lines come first.
-    """
-    lines = list(texture.materials)
-    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
-    lines += [f"vt {u:.7g} {v:.7g}" for u, v in texture.coordinates.tolist()]
-    corners = np.stack([texture.faces + 1, texture.corners + 1], axis=2).reshape(-1, 6)
-    lines += [f"f {a}/{s} {b}/{t} {c}/{u}" for a, s, b, t, c, u in corners.tolist()]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def export_vts(correspondence: Correspondence, folder: str | Path) -> list[Path]:

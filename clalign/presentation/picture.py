@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.presentation.camera import Up, front_view, turn_to
-from clalign.presentation.colours import UNMATCHED, position_colours
 from clalign.presentation.raster import png_bytes, rasterise, with_word, write_png
+from clalign.transfer.colours import carried_colours, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map
 
 _MARGIN = 0.05
@@ -53,11 +53,6 @@ def match_image(correspondence: Correspondence, *, height: int = 900, up: Up | N
         height,
         words=("source", "target"),
     )
-
-
-def carried_colours(target_colours: NDArray[np.float64], to_target: SurfaceMap) -> NDArray[np.float64]:
-    """Return (n_x, 3) colours pulled back from the target; grey where a source vertex has no match."""
-    return np.where(to_target.matched[:, None], to_target.pull(target_colours), UNMATCHED)
 
 
 def map_turn(source: NDArray[np.floating], target: NDArray[np.floating], to_target: SurfaceMap) -> NDArray[np.float64]:

@@ -12,8 +12,8 @@ from clalign.correspondence import Correspondence
 from clalign.errors import InputError
 from clalign.mesh.mesh import Mesh
 from clalign.presentation.camera import Up, front_view
-from clalign.presentation.colours import position_colours
-from clalign.presentation.picture import carried_colours, map_turn
+from clalign.presentation.picture import map_turn
+from clalign.transfer.colours import carried_colours, position_colours
 from clalign.transfer.surface_map import surface_map
 
 

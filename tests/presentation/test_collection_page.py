@@ -21,7 +21,7 @@ from clalign.presentation.camera import front_view
 from clalign.presentation.collection_page import matrix, write_collection_page
 from clalign.presentation.collection_page.carried import portraits
 from clalign.presentation.collection_page.matrix import MEASURES
-from clalign.presentation.colours import position_colours
+from clalign.transfer.colours import position_colours
 
 
 class Page(HTMLParser):

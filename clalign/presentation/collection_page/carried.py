@@ -13,8 +13,8 @@ from clalign.collection.result import Collection
 from clalign.errors import InputError
 from clalign.mesh.mesh import Mesh, load_mesh
 from clalign.presentation.camera import front_view, turn_to
-from clalign.presentation.colours import UNMATCHED, position_colours
 from clalign.presentation.picture import draw_row
+from clalign.transfer.colours import UNMATCHED, position_colours
 from clalign.transfer.surface_map import vertex_map
 
 _HEIGHT = 300

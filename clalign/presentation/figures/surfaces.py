@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.presentation.camera import Up, front_view
-from clalign.presentation.colours import function_colours, position_colours
 from clalign.presentation.figures.sheet import Image
-from clalign.presentation.picture import carried_colours, map_turn
+from clalign.presentation.picture import map_turn
 from clalign.presentation.raster import rasterise
+from clalign.transfer.colours import carried_colours, function_colours, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map
 
 _MARGIN = 0.04

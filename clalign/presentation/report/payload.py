@@ -14,8 +14,8 @@ from clalign.correspondence import Alternative, Correspondence, finite_or_none
 from clalign.evaluation.errors import Evaluation
 from clalign.mesh.mesh import Mesh
 from clalign.presentation.camera import Up, front_view
-from clalign.presentation.colours import RAMPS, UNMATCHED, position_colours
 from clalign.presentation.picture import map_turn
+from clalign.transfer.colours import RAMPS, UNMATCHED, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map, vertex_map
 
 _FUNCTION_BYTES = 8_000_000

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from clalign.errors import InputError
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.writing import save_mesh
-from clalign.presentation.colours import UNMATCHED, amount_colours
+from clalign.transfer.colours import UNMATCHED, amount_colours
 
 MESH_SUFFIXES = (".ply", ".off", ".obj")
 _TEXT_SUFFIXES = (".txt", ".csv", ".xyz", ".lab", ".vts")

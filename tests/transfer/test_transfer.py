@@ -1,17 +1,16 @@
-from __future__ import annotations
+"""Values, labels, landmarks and deformations through a match."""
 
-from pathlib import Path
+from __future__ import annotations
 
 import numpy as np
 import pytest
 import shapes
+from fabricated import fabricate
 from scipy.spatial.transform import Rotation
 
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
 from clalign.mesh.mesh import mesh_from_arrays
-from clalign.presentation.texture import Texture, carry_texture, read_texture
-from clalign.presentation.value_files import read_values, write_values
 from clalign.transfer.transfer import carry_deformation, carry_labels, carry_landmarks, carry_values
 
 
@@ -79,11 +78,11 @@ def test_rigid_and_uniform_deformations_are_carried_exactly(small: Correspondenc
     assert np.abs(error).max() < 1e-9 * small.target.scale
 
 
-def test_bending_is_carried_to_another_mesh_of_the_shape(fabricated: object) -> None:
+def test_bending_is_carried_to_another_mesh_of_the_shape() -> None:
     vertices, faces = shapes.bumpy_sphere(3)
     other, other_faces, other_of_old = shapes.renumbered(vertices * 2.0 + 5.0, faces, 7)
     source, target = mesh_from_arrays(vertices, faces), mesh_from_arrays(other, other_faces)
-    result = fabricated(source, target, other_of_old, np.argsort(other_of_old))  # type: ignore[operator]
+    result = fabricate(source, target, other_of_old, np.argsort(other_of_old))
     moved = carry_deformation(result, shapes.bent(vertices, 0.8))
     expected = 2.0 * shapes.bent(vertices, 0.8)[np.argsort(other_of_old)]
     moved, expected = moved - moved.mean(axis=0), expected - expected.mean(axis=0)
@@ -96,81 +95,3 @@ def test_deformation_needs_finite_positions(small: Correspondence) -> None:
     moved[9, 1] = np.nan
     with pytest.raises(InputError, match="finite"):
         carry_deformation(small, moved)
-
-
-def _cylinder_texture(vertices: np.ndarray, faces: np.ndarray) -> Texture:
-    """Angle and height as texture coordinates, with a seam where the angle jumps."""
-    angle = np.arctan2(vertices[:, 1], vertices[:, 0]) / (2 * np.pi) + 0.5
-    corner_angle = angle[faces]
-    wraps = np.ptp(corner_angle, axis=1) > 0.5
-    corner_angle = np.where(wraps[:, None] & (corner_angle < 0.5), corner_angle + 1, corner_angle)
-    places = np.stack([corner_angle, vertices[:, 2][faces]], axis=2).reshape(-1, 2)
-    coordinates, corners = np.unique(places, axis=0, return_inverse=True)
-    return Texture(coordinates, corners.reshape(-1, 3), faces)
-
-
-def test_texture_with_a_seam_is_carried_untorn(small: Correspondence) -> None:
-    source, target = small.source, small.target
-    texture = _cylinder_texture(source.file_positions(), source.file_index[source.faces])
-    carried = carry_texture(small, texture)
-    assert np.array_equal(carried.faces, target.file_index[target.faces])
-
-    def spans(one: Texture) -> np.ndarray:
-        return np.sort(np.ptp(one.coordinates[one.corners], axis=1).max(axis=1))
-
-    # Both meshes have the same triangles under the true map; faces at the poles of the angle may choose otherwise.
-    assert np.quantile(np.abs(spans(texture) - spans(carried)), 0.98) < 1e-12
-    assert spans(carried).max() <= spans(texture).max() + 1e-12
-
-
-def test_texture_file_round_trip(tmp_path: Path) -> None:
-    path = tmp_path / "quad.obj"
-    path.write_text(
-        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
-        "usemtl a\nf 1/1/1 2/2/1 3/3/1 4/4/1\nf -4/-4 -3/-3 -2/-2\n",
-        encoding="utf-8",
-    )
-    texture = read_texture(path)
-    assert texture.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2]]
-    assert texture.corners.tolist() == texture.faces.tolist()
-    assert texture.materials == ("mtllib a.mtl", "usemtl a")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("v 0 0 0\nvt 0 0\nf 1/1 1/1 2/1\n", "line 3"),
-        ("v 0 0 0\nvt 0 x\n", "line 2"),
-        ("v 0 0 0\nf 1 1 1\n", "line 2"),
-        ("v 0 0 0\n", "no faces with texture"),
-    ],
-)
-def test_bad_texture_files_are_refused_with_their_line(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "bad.obj"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=message):
-        read_texture(path)
-    with pytest.raises(InputError, match="cannot be read"):
-        read_texture(tmp_path / "none.obj")
-
-
-@pytest.mark.parametrize("suffix", [".npy", ".txt", ".csv"])
-def test_value_files_round_trip(small: Correspondence, tmp_path: Path, suffix: str) -> None:
-    values = np.random.default_rng(3).normal(size=(643, 3))
-    path = tmp_path / f"values{suffix}"
-    write_values(path, values, small.source)
-    assert np.array_equal(read_values(path), values)
-    write_values(path, np.arange(643), small.source)
-    assert np.array_equal(read_values(path, whole=True), np.arange(643))
-
-
-def test_value_files_refuse_nonsense(small: Correspondence, tmp_path: Path) -> None:
-    for name, content in (("a.txt", "1\n2 3\n"), ("b.txt", "one\n"), ("c.txt", ""), ("d.npy", "not numpy")):
-        (tmp_path / name).write_text(content, encoding="utf-8")
-        with pytest.raises(InputError, match=name):
-            read_values(tmp_path / name)
-    (tmp_path / "e.txt").write_text("1.5\n", encoding="utf-8")
-    with pytest.raises(InputError, match="not whole"):
-        read_values(tmp_path / "e.txt", whole=True)
-    with pytest.raises(InputError, match="suffix"):
-        write_values(tmp_path / "f.xyzzy", np.zeros(643), small.source)
