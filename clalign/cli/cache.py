@@ -13,13 +13,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="show or empty the cache of spectra and distances",
         description="Eigenfunctions and distances of every mesh are kept, so that a second match with it starts at "
         "once. The folder is the user's cache folder, or CLALIGN_CACHE; what was used longest ago goes first.",
-        allow_abbrev=False,
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    info = actions.add_parser("info", help="show the folder and what it holds", allow_abbrev=False)
+    info = actions.add_parser("info", help="show the folder and what it holds")
     info.add_argument("--json", action="store_true", help="print one JSON document")
     info.set_defaults(run=show_info)
-    clear = actions.add_parser("clear", help="remove everything", allow_abbrev=False)
+    clear = actions.add_parser("clear", help="remove everything")
     clear.set_defaults(run=clear_all)
 
 

@@ -44,8 +44,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="examine meshes, and repair them",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("meshes", metavar="MESH", nargs="+", type=Path, help="OFF, PLY, OBJ or STL file")
     parser.add_argument("--repair", metavar="OUT", type=Path, help="write a cleaned copy of the one MESH")

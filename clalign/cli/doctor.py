@@ -37,7 +37,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="examine OpenCL on this machine",
         description="List the OpenCL loader, drivers and devices, run kernels on each device and compare them with "
         "numpy, and name the next command when something is missing. Exit status 0: a device works; 1: none does.",
-        allow_abbrev=False,
     )
     parser.add_argument("--json", action="store_true", help="print the findings as one JSON document")
     parser.set_defaults(run=run)

@@ -50,8 +50,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="draw the paper's figures",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("paths", metavar="RESULT|SOURCE TARGET", nargs="*", type=Path, help="what figures are drawn of")
     parser.add_argument("--which", metavar="NUMBERS", default="all", help="comma-separated, or 'all' (default)")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
-from clalign.presentation.camera import Up, front_view, turn_to
+from clalign.presentation.camera import Up, facing_rotation, front_view
 from clalign.presentation.raster import png_bytes, rasterise, with_word, write_png
 from clalign.transfer.colours import carried_colours, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map
@@ -44,7 +44,7 @@ def match_image(correspondence: Correspondence, *, height: int = 900, up: Up | N
     to_target = surface_map(correspondence)
     target_colours = position_colours(target.vertices, view)
     source_colours = carried_colours(target_colours, to_target)
-    source_view = view @ map_turn(source.vertices, target.vertices, to_target)
+    source_view = view @ map_rotation(source.vertices, target.vertices, to_target)
     return draw_row(
         [
             (source.vertices @ source_view.T, source.faces, source_colours),
@@ -55,12 +55,14 @@ def match_image(correspondence: Correspondence, *, height: int = 900, up: Up | N
     )
 
 
-def map_turn(source: NDArray[np.floating], target: NDArray[np.floating], to_target: SurfaceMap) -> NDArray[np.float64]:
+def map_rotation(
+    source: NDArray[np.floating], target: NDArray[np.floating], to_target: SurfaceMap
+) -> NDArray[np.float64]:
     """Return the rotation that lets the source face like the target (identity where they already do)."""
     matched = to_target.matched
     if np.count_nonzero(matched) < 3:
         return np.eye(3)
-    return turn_to(source[matched], to_target.pull(target)[matched])
+    return facing_rotation(source[matched], to_target.pull(target)[matched])
 
 
 def draw_row(

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from clalign.correspondence import Correspondence
 from clalign.mesh.mesh import mesh_from_arrays
-from clalign.presentation.camera import front_view, turn_to
+from clalign.presentation.camera import facing_rotation, front_view
 from clalign.presentation.notebook import notebook_html
 from clalign.presentation.picture import match_image, save_match_picture
 
@@ -50,10 +50,10 @@ def test_front_view_of_a_tilted_shape_uses_its_own_axes() -> None:
 def test_turn_to_undoes_large_turns_and_leaves_small_ones() -> None:
     points = _figure(1, 0)
     large = Rotation.from_euler("xyz", [90, 0, 20], degrees=True).as_matrix()
-    assert np.allclose(turn_to(points @ large.T, points), large.T, atol=1e-9)
+    assert np.allclose(facing_rotation(points @ large.T, points), large.T, atol=1e-9)
     small = Rotation.from_euler("y", 20, degrees=True).as_matrix()
-    assert np.array_equal(turn_to(points @ small.T, points), np.eye(3))
-    assert np.linalg.det(turn_to(points * (-1, 1, 1), points)) == pytest.approx(1.0)
+    assert np.array_equal(facing_rotation(points @ small.T, points), np.eye(3))
+    assert np.linalg.det(facing_rotation(points * (-1, 1, 1), points)) == pytest.approx(1.0)
 
 
 def test_picture_has_both_shapes_alike_and_apart(small: Correspondence, tmp_path: Path) -> None:
