@@ -74,12 +74,6 @@ def elapsed(run: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
-    """Return a Markdown table whose first `text_columns` columns are text and whose others are numbers."""
-    marks = ["---"] * text_columns + ["--:"] * (len(header) - text_columns)
-    return "\n".join(["| " + " | ".join(cells) + " |" for cells in (header, marks, *rows)])
-
-
 def seconds_text(seconds: float) -> str:
     """Return a duration with three digits and a unit."""
     for unit, factor in (("s", 1.0), ("ms", 1e3)):

@@ -70,13 +70,39 @@ def mean_curve(records: Sequence[Record], curves: Mapping[Key, NDArray[np.float6
     return total / max(len(records), 1)
 
 
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
+    """Return a Markdown table whose first `text_columns` columns are text and whose others are numbers."""
+    marks = ["---"] * text_columns + ["--:"] * (len(header) - text_columns)
+    return "\n".join(["| " + " | ".join(cells) + " |" for cells in (header, marks, *rows)])
+
+
+#: Heads of `error_cells`.
+ERROR_COLUMNS = ("pairs", "mean", "median", "worst pair", "flips", "exact", "under curve", "covered", "time, s")
+
+
+def error_cells(summary: Summary) -> list[str]:
+    """Return the cells under `ERROR_COLUMNS`: errors times 100, as in the literature, and shares in per cent."""
+
+    def number(value: float | None, factor: float, digits: int, unit: str = "") -> str:
+        return "–" if value is None else f"{value * factor:.{digits}f}{unit}"
+
+    return [
+        f"{summary.pairs}" + (f" ({summary.failed} failed)" if summary.failed else ""),
+        number(summary.mean, 100, 3),
+        number(summary.median, 100, 3),
+        number(summary.worst, 100, 2) + (f" ({summary.worst_pair})" if summary.worst_pair else ""),
+        "–" if summary.flips is None else str(summary.flips),
+        number(summary.exact, 100, 1, " %"),
+        number(summary.area_under_curve, 1, 4),
+        number(summary.coverage, 100, 1, " %"),
+        number(summary.seconds, 1, 1),
+    ]
+
+
 def markdown(summaries: Sequence[Summary]) -> str:
-    """Return a table with errors times 100, as the literature prints them, and the share columns in per cent."""
-    header = (
-        "| suite | method | pairs | mean | median | worst pair | flips | exact | under curve | covered | time, s |\n"
-        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|"
-    )
-    return "\n".join([header, *(_markdown_row(summary) for summary in summaries)])
+    """Return a Markdown table with a row for every summary."""
+    rows = [[summary.suite, summary.method, *error_cells(summary)] for summary in summaries]
+    return markdown_table(["suite", "method", *ERROR_COLUMNS], rows, text_columns=2)
 
 
 def as_json(summaries: Sequence[Summary], problems: Sequence[str]) -> str:
@@ -152,25 +178,3 @@ def _summary(suite: str, method: str, records: Sequence[Record]) -> Summary:
 def _mean(records: Sequence[Record], column: str) -> float | None:
     values = [value for record in records if (value := getattr(record, column)) is not None]
     return float(np.mean(values)) if values else None
-
-
-def _markdown_row(summary: Summary) -> str:
-    pairs = f"{summary.pairs}" if not summary.failed else f"{summary.pairs} ({summary.failed} failed)"
-    cells = [
-        summary.suite,
-        summary.method,
-        pairs,
-        _number(summary.mean, 100, 3),
-        _number(summary.median, 100, 3),
-        f"{_number(summary.worst, 100, 2)} ({summary.worst_pair})" if summary.worst_pair else "–",
-        "–" if summary.flips is None else str(summary.flips),
-        _number(summary.exact, 100, 1, " %"),
-        _number(summary.area_under_curve, 1, 4),
-        _number(summary.coverage, 100, 1, " %"),
-        _number(summary.seconds, 1, 1),
-    ]
-    return f"| {' | '.join(cells)} |"
-
-
-def _number(value: float | None, factor: float, digits: int, unit: str = "") -> str:
-    return "–" if value is None else f"{value * factor:.{digits}f}{unit}"

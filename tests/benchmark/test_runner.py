@@ -10,12 +10,12 @@ import pytest
 from datasets import NearestMethod
 
 from clalign.alignment import alternation as rounds
-from clalign.benchmark.methods import AlignMethod, named_methods
+from clalign.benchmark.layouts import Layout, animals
+from clalign.benchmark.methods import AlignMethod
 from clalign.benchmark.records import CURVES_FILE, RECORDS_FILE, Record, read_curves, read_records
 from clalign.benchmark.runner import Measurement, run
 from clalign.errors import OptionError, ResultError
 from clalign.evaluation.errors import THRESHOLDS
-from clalign.evaluation.layouts import Layout, animals
 from clalign.options import Options
 
 
@@ -164,15 +164,3 @@ def test_bad_calls(layouts: tuple[Layout, ...], tmp_path: Path) -> None:
     (tmp_path / "out" / RECORDS_FILE).write_text("pair,error\na b,0.1\n", encoding="utf-8")
     with pytest.raises(ResultError, match="not written by this version"):
         run(layouts, [NearestMethod()], tmp_path / "out")
-
-
-def test_named_methods() -> None:
-    ours, fast, pyfm = named_methods(["default", "fast", "pyfm"], {"seed": 3, "spectrum.basis": "80"})
-    assert isinstance(ours, AlignMethod)
-    assert ours.options == Options().replace({"seed": 3, "spectrum.basis": 80})
-    assert len({ours.settings, fast.settings}) == 2
-    assert pyfm.name == "pyFM"
-    with pytest.raises(OptionError, match="unknown method 'best'"):
-        named_methods(["best"], {})
-    with pytest.raises(OptionError, match=r"spectrum\.size"):
-        named_methods(["default"], {"spectrum.size": 3})

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import shapes
 
+from clalign.benchmark import perturb
 from clalign.errors import InputError
-from clalign.evaluation import perturb
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
 from clalign.mesh.topology import vertex_normals
 

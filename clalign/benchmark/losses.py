@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from clalign.alignment.band import funnel_band
 from clalign.alignment.objective import AlignmentProblem, Round
 from clalign.alignment.problem_data import AlignedSide, SampledFactors
-from clalign.benchmark.performance import elapsed, exponent_text, fitted_exponent, markdown_table, seconds_text
+from clalign.benchmark.performance import elapsed, exponent_text, fitted_exponent, seconds_text
+from clalign.benchmark.table import markdown_table
 from clalign.engine.backend import Backend
 from clalign.errors import ClalignError
 from clalign.geometry.sampling import VertexOrder
