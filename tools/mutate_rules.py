@@ -4,10 +4,11 @@
 
 Any frozen dataclass can be named; the dataclasses that its fields hold are gone through as well. Floats are multiplied
 and divided by 1.5, so are whole numbers from 10 on, and smaller ones get one more and one less; a zero float becomes
-0.1; truth values are negated; of tuples each element is changed like that, and dropped. No source is edited: the tests run with
-``-p mutate_rules``, and this module, loaded as a plugin, changes the default of one field as the environment variable
-``MUTATED_RULE`` says, before anything else of the package is imported. Tests that build the rules with values of their
-own, or in other processes, do not see it.
+0.1; truth values are negated; of tuples each element is changed like that, and dropped.
+
+No source is edited: the tests run with ``-p mutate_rules``, and this module, loaded as a plugin, changes the default of
+one field as the environment variable ``MUTATED_RULE`` says, before anything else of the package is imported. Tests that
+build the rules with values of their own, or in other processes, do not see it.
 """
 
 from __future__ import annotations
