@@ -57,7 +57,7 @@ NAMED: dict[str, tuple[str, str]] = {
 }
 
 _BEFORE_CHANGE = re.compile(r"\+(?=[\w.]+=)")
-_BEFORE_METHOD = re.compile(r",(?=\s*[^\W\d])")
+_COMMA = re.compile(r",(?![^(\[]*[)\]])")
 
 
 @dataclass(frozen=True)
@@ -189,9 +189,9 @@ def uninterrupted(result: Correspondence) -> Correspondence:
     return result
 
 
-def split_methods(text: str) -> list[str]:
-    """Return the methods of a comma-separated list; a comma before a digit or sign stands inside a value."""
-    return [method.strip() for method in _BEFORE_METHOD.split(text)]
+def split_list(text: str) -> list[str]:
+    """Return the entries of a comma-separated list; values that hold commas themselves stand in brackets."""
+    return [entry.strip() for entry in _COMMA.split(text)]
 
 
 def align_method(text: str, changes: Mapping[str, Any]) -> AlignMethod:

@@ -190,11 +190,11 @@ def stage_exponents(times: Sequence[ScaleTime]) -> dict[str, float | None]:
     return {name: fitted_exponent(sizes, seconds) for name, seconds in (stages | totals).items()}
 
 
-def pair_table(times: Sequence[PairTime]) -> str:
-    """Return a Markdown table with a column for every run and a row for every stage."""
+def pair_table(times: Sequence[PairTime], stages: bool = True) -> str:
+    """Return a Markdown table with a column for every run, and a row for every stage unless only totals are wanted."""
     rows = [
         [name, *("–" if name not in one.stages else seconds_text(one.stages[name]) for one in times)]
-        for name in stage_names(times)
+        for name in (stage_names(times) if stages else [])
     ]
     rows.append(["**total**", *(f"**{seconds_text(one.seconds)}**" for one in times)])
     rows.append(["processor time", *(seconds_text(one.work) for one in times)])
@@ -202,7 +202,7 @@ def pair_table(times: Sequence[PairTime]) -> str:
     reference = next((one.seconds for one in times if one.label == "pyFM"), None)
     if reference is not None:
         rows.append(["pyFM's time over it", *(f"{reference / one.seconds:.2f}×" for one in times)])
-    return markdown_table(["stage", *(one.label for one in times)], rows)
+    return markdown_table(["stage" if stages else "", *(one.label for one in times)], rows)
 
 
 def scale_table(times: Sequence[ScaleTime]) -> str:

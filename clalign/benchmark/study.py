@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from clalign.benchmark.methods import AlignMethod
-from clalign.benchmark.table import ERROR_COLUMNS, Summary, error_cells, markdown_table
+from clalign.benchmark.methods import AlignMethod, split_list
+from clalign.benchmark.table import COLUMNS, Summary, error_cells, markdown_table
 from clalign.errors import OptionError
 from clalign.options import Options
 
@@ -103,7 +103,7 @@ def study_of(text: str, base: Options) -> Study:
 
     Parameters
     ----------
-    text : a name of `STUDIES`, or ``OPTION=VALUE,VALUE,...``; a ``;`` in place of the commas allows commas in values.
+    text : a name of `STUDIES`, or ``OPTION=VALUE,VALUE,...``; values that hold commas stand in brackets.
     base : what the rows differ from.
 
     Raises
@@ -113,8 +113,7 @@ def study_of(text: str, base: Options) -> Study:
     """
     option, equals, values = text.partition("=")
     if equals:
-        words = values.split(";" if ";" in values else ",")
-        study = Study(option, _values(option, option, [word.strip() for word in words]))
+        study = Study(option, _values(option, option, split_list(values)))
     elif text in STUDIES:
         study = STUDIES[text]
     else:
@@ -142,15 +141,17 @@ def methods_of(settings: Sequence[Setting], base: Options) -> list[AlignMethod]:
 
 def study_table(title: str, settings: Sequence[Setting], summaries: Sequence[Summary], base: Options) -> str:
     """Return a Markdown table, the rows of the base in bold, with a block of rows for each suite."""
+    columns = COLUMNS[2:]
     rows = []
     suites = list(dict.fromkeys(summary.suite for summary in summaries))
     by_key = {(summary.suite, summary.method): summary for summary in summaries}
     for suite in suites:
         if len(suites) > 1:
-            rows.append([f"*{suite}*", *("" for _ in ERROR_COLUMNS)])
+            rows.append([f"*{suite}*", *("" for _ in columns)])
         for setting in settings:
             summary = by_key.get((suite, method_name(setting, base)))
             if summary is not None:
                 label = f"**{setting.label}** (default)" if is_base(setting, base) else setting.label
-                rows.append([label, *error_cells(summary)])
-    return markdown_table([title, *ERROR_COLUMNS], rows)
+                cells = error_cells(summary)
+                rows.append([label, *(cells[name] for name in columns)])
+    return markdown_table([title, *columns], rows)

@@ -136,7 +136,7 @@ def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: 
 
 def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
     """Read the pair, its truth and what is matched already."""
-    from clalign.benchmark.methods import MethodRuns, split_methods
+    from clalign.benchmark.methods import MethodRuns, split_list
     from clalign.errors import OptionError
     from clalign.geometry.cache import ShapeCache
     from clalign.options import Options
@@ -163,7 +163,7 @@ def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
         watch=_watch(terminal),
         known={} if known is None else {MAIN: known},
     )
-    names = tuple(split_methods(args.variants)) if args.variants else ()
+    names = tuple(split_list(args.variants)) if args.variants else ()
     return Subject(pair, runs, names, args.index, args.pair_index, args.height, comparable)
 
 

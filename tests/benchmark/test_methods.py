@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from clalign.benchmark.layouts import animals
-from clalign.benchmark.methods import NAMED, AlignMethod, align_method, method_label, named_methods, split_methods
+from clalign.benchmark.methods import NAMED, AlignMethod, align_method, method_label, named_methods, split_list
 from clalign.errors import OptionError, ResultError
 from clalign.options import PRESETS, Options
 
@@ -48,12 +48,10 @@ def test_what_a_text_says_outweighs_what_holds_for_all() -> None:
     assert align_method("default", changes).options.alignment.rounds == 7
 
 
-def test_a_list_is_split_between_methods() -> None:
-    assert split_methods("default, a=fast+alignment.decay=0.5,2,+3 ,paper") == [
-        "default",
-        "a=fast+alignment.decay=0.5,2,+3",
-        "paper",
-    ]
+def test_a_list_is_split_outside_of_brackets() -> None:
+    entries = ["default", "a=fast+alignment.decay=0.5", "b=paper+x.y=(1, 2,)+x.z=[3,4]", "paper"]
+    assert split_list(", ".join(entries)) == entries
+    assert split_list("(1,),(2,3) , 4") == ["(1,)", "(2,3)", "4"]
 
 
 def test_labels_in_figures() -> None:

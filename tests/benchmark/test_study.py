@@ -40,7 +40,7 @@ def test_any_option_can_be_varied() -> None:
     assert [setting.label for setting in study.settings] == [f"alignment.decay = {value}" for value in (0.1, 0.2, 0.5)]
     assert [is_base(setting, base) for setting in study.settings] == [False, True, False]
     assert [method.options.alignment.decay for method in methods_of(study.settings, base)] == [0.1, 0.2, 0.5]
-    others = study_of("spectrum.metric=auto;euclidean", base).settings
+    others = study_of("spectrum.metric=auto,euclidean", base).settings
     assert [dict(row.changes) for row in others] == [{}, *({"spectrum.metric": m} for m in ("auto", "euclidean"))]
     with pytest.raises(OptionError, match=r"unknown option 'alignment\.decays'"):
         study_of("alignment.decays=1,2", base)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clalign.benchmark.methods import NAMED, split_methods
+from clalign.benchmark.methods import NAMED, split_list
 from clalign.cli.bench.common import (
     EXIT_INTERRUPTED,
     add_option_arguments,
@@ -125,20 +125,20 @@ def _bench(layouts: Sequence[Layout], args: argparse.Namespace) -> int:
 
     if args.distances not in METHODS:
         raise OptionError(f"--distances must be one of {', '.join(METHODS)}; got {args.distances!r}")
-    if args.update is not None and args.limit is not None and args.section is None:
+    if args.update and args.limit is not None and args.section is None:
         raise OptionError(
             f"--limit with --update would put a part of the pairs into the section {args.whole_section!r}, which is "
             "for all of them: name another one with --section"
         )
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
-    methods = named_methods(split_methods(args.methods), option_changes(args))
+    methods = named_methods(split_list(args.methods), option_changes(args))
     measurement = Measurement(args.points, args.seed, args.distances)
     finished = run_methods(limited(layouts, args, terminal), methods, measurement, args, terminal)
     return EXIT_INTERRUPTED if finished is None else _report(finished, args, terminal)
 
 
 def _report(finished: Run, args: argparse.Namespace, terminal: Terminal) -> int:
-    from clalign.benchmark.table import as_json, failures, markdown, summarise, update_file
+    from clalign.benchmark.table import SHORT_COLUMNS, as_json, failures, markdown, summarise, update_file
 
     summaries = summarise(finished.records)
     text = markdown(summaries)
@@ -152,8 +152,8 @@ def _report(finished: Run, args: argparse.Namespace, terminal: Terminal) -> int:
     if args.json:
         print(document, end="")
     _draw_curves(finished.records, args.out, terminal)
-    if args.update is not None:
-        update_file(args.update, args.section or args.whole_section, text)
+    for page in args.update:
+        update_file(page, args.section or args.whole_section, text, markdown(summaries, SHORT_COLUMNS))
     return 1 if any(record.failed for record in finished.records) or not finished.records else 0
 
 

@@ -82,6 +82,6 @@ def run(args: argparse.Namespace) -> int:
     terminal.say(text)
     terminal.say("errors: mean geodesic error of each map x 100 / sqrt(area)")
     terminal.document(document)
-    if args.update is not None:
-        update_file(args.update, args.section, text)
+    for page in args.update:
+        update_file(page, args.section, text)
     return 1 if any(differing.values()) or failures else 0

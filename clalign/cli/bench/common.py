@@ -44,9 +44,19 @@ def add_run_arguments(parser: argparse.ArgumentParser, folder: str) -> None:
 def add_output_arguments(parser: argparse.ArgumentParser, section: str | None, text: str = "%(default)s") -> None:
     """Add ``--update``, ``--section``, ``--quiet`` and ``--json``; `text` says what the section is by default."""
     parser.add_argument(
-        "--update", metavar="FILE", type=Path, help="put the table into the section of FILE named below"
+        "--update",
+        metavar="FILE",
+        type=Path,
+        action="append",
+        default=[],
+        help="put the table into the section of FILE named below; may be repeated",
     )
-    parser.add_argument("--section", metavar="NAME", default=section, help=f"of <!-- table:NAME --> (default: {text})")
+    parser.add_argument(
+        "--section",
+        metavar="NAME",
+        default=section,
+        help=f"of <!-- table:NAME -->, or of <!-- table:NAME-short --> for a short table (default: {text})",
+    )
     parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of the table")
 
@@ -128,6 +138,7 @@ def deliver(
     machine: Machine,
     args: argparse.Namespace,
     terminal: Terminal,
+    short: str | None = None,
 ) -> None:
     """Show tables of speed and write what was asked for.
 
@@ -136,6 +147,7 @@ def deliver(
     tables : Markdown by heading.
     document : of plain values; the machine is added.
     machine : its facts, the load as it was before the measurement.
+    short : what a page with a section ``NAME-short`` gets.
 
     Raises
     ------
@@ -156,5 +168,5 @@ def deliver(
             args.out.write_text(json.dumps(whole, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
         except OSError as error:
             raise ResultError(f"{args.out}: cannot be written ({error.strerror})") from error
-    if args.update is not None:
-        update_file(args.update, args.section, text)
+    for page in args.update:
+        update_file(page, args.section, text, short)

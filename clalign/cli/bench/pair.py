@@ -72,5 +72,6 @@ def run(args: argparse.Namespace) -> int:
         "options": options.as_dict(),
         "runs": [asdict(one) for one in times],
     }
-    deliver({heading: pair_table(times)}, document, machine, args, terminal)
+    short = f"{heading}\n\n{pair_table(times, stages=False)}"
+    deliver({heading: pair_table(times)}, document, machine, args, terminal, short)
     return 0

@@ -57,7 +57,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="OPTION=VALUES",
         action="append",
         default=[],
-        help="a table over any option: alignment.decay=0.1,0.2,0.5 (a ';' separates values that hold commas)",
+        help="a table over any option: alignment.decay=0.1,0.2,0.5; values that hold commas stand in brackets",
     )
     parser.add_argument(
         "--pairs", metavar="FILE", help="a pairs file (default: all pairs*.txt in PATH), or as of 'bench faust'"
@@ -120,6 +120,6 @@ def _report(
     for failure in failures(finished.records):
         terminal.warn(failure)
     terminal.say(text)
-    if args.update is not None:
-        update_file(args.update, f"{args.section}-{name}", text)
+    for page in args.update:
+        update_file(page, f"{args.section}-{name}", text)
     return [asdict(summary) for summary in summaries]
