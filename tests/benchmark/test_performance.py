@@ -154,6 +154,12 @@ def test_the_pair_table_sets_runs_beside_each_other() -> None:
     assert "| **total** | **4 s** | **10 s** |" in table
     assert "| processor time | 8 s | 20 s |" in table
     assert "| pyFM's time over it | 2.50× | 1.00× |" in table
+    short = pair_table([some_time("cold cache", 4.0, 3.0)], stages=False)
+    assert [line.split(" | ")[0][2:] for line in short.splitlines()[2:]] == [
+        "**total**",
+        "processor time",
+        "peak memory",
+    ]
 
 
 def test_the_scale_table_fits_every_stage() -> None:
