@@ -6,9 +6,7 @@ import contextlib
 import logging
 import multiprocessing
 import os
-import shutil
 import signal
-import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -28,6 +26,7 @@ from clalign.errors import ClalignError, OptionError
 from clalign.evaluation.distances import DistanceMethod
 from clalign.evaluation.errors import evaluate
 from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE, environment
+from clalign.storage.files import claim_kernel_folder
 
 logger = logging.getLogger(__name__)
 
@@ -199,17 +198,16 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     # Forking would copy an open OpenCL context, which hangs in the child.
     context = multiprocessing.get_context("spawn")
     others = multiprocessing.active_children()
-    with tempfile.TemporaryDirectory(prefix="clalign-kernels-", ignore_cleanup_errors=True) as kernels:
-        pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker, initargs=(kernels,))
-        try:
-            yield pool
-        except BaseException:
-            for process in multiprocessing.active_children():
-                if process not in others:
-                    process.kill()
-            raise
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker)
+    try:
+        yield pool
+    except BaseException:
+        for process in multiprocessing.active_children():
+            if process not in others:
+                process.kill()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 class _Terminated(BaseException):
@@ -254,25 +252,19 @@ def _unheard_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _prepare_worker(folder: str) -> None:
-    """Silence warnings, which the rows tell of, and give the worker its own cache of compiled kernels.
+def _prepare_worker() -> None:
+    """Silence warnings, which the rows tell of, and give the worker a folder of compiled kernels.
 
-    PoCL's breaks when several processes write to it. The worker ends when the process that started it does, however
-    that ends: it would wait for trials for ever.
+    The worker ends when the process that started it does, however that ends: it would wait for trials for ever.
     """
     warnings.simplefilter("ignore")
-    own = Path(folder) / str(os.getpid())
-    own.mkdir()
-    threading.Thread(target=_end_with_parent, args=(own,), daemon=True).start()
-    os.environ["POCL_CACHE_DIR"] = str(own)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    claim_kernel_folder()
 
 
-def _end_with_parent(own: Path) -> None:
-    """End this process, and remove its folder, once its parent has ended; the last one removes the folder of all."""
+def _end_with_parent() -> None:
+    """End this process once its parent has ended."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
-        shutil.rmtree(own, ignore_errors=True)
-        with contextlib.suppress(OSError):
-            own.parent.rmdir()
         os._exit(1)

@@ -65,7 +65,7 @@ def test_durations_have_a_unit(seconds: float, text: str) -> None:
 
 
 def test_bytes_and_tables() -> None:
-    assert [bytes_text(size) for size in (None, 5_000_000, 2_340_000_000)] == ["–", "5 MB", "2.34 GB"]
+    assert [bytes_text(size) for size in (None, 5_000_000, 2_340_000_000)] == ["–", "5 MiB", "2.2 GiB"]
     assert markdown_table(["a", "b"], [["x", "1"]]) == "| a | b |\n|---|--:|\n| x | 1 |"
 
 

@@ -159,7 +159,7 @@ def _report(finished: Run, args: argparse.Namespace, terminal: Terminal) -> int:
 
 def _draw_curves(records: Sequence[Record], folder: Path, terminal: Terminal) -> None:
     """Draw the mean curve of each suite and method, per sqrt(area) and per diameter."""
-    from clalign.benchmark.records import CURVES_FILE, read_curves
+    from clalign.benchmark.records import read_curves
     from clalign.benchmark.table import mean_curve
     from clalign.errors import InputError
     from clalign.presentation.curves import AXIS_LABELS, save_error_curves
@@ -168,7 +168,7 @@ def _draw_curves(records: Sequence[Record], folder: Path, terminal: Terminal) ->
     for record in records:
         groups.setdefault(f"{record.suite}, {record.method}", []).append(record)
     for unit in AXIS_LABELS:
-        curves = read_curves(folder / CURVES_FILE, unit)
+        curves = read_curves(folder, unit)
         drawn = {label: mean_curve(group, curves) for label, group in groups.items()}
         name = "curve.png" if unit == "sqrt_area" else f"curve_{unit}.png"
         if drawn:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from clalign.benchmark.methods import MethodRuns, method_label
 from clalign.benchmark.pairs import LoadedPair
-from clalign.benchmark.records import CURVES_FILE, RECORDS_FILE, Record, read_curves, read_records
+from clalign.benchmark.records import RECORDS_FILE, Record, read_curves, read_records
 from clalign.benchmark.table import mean_curve
 from clalign.correspondence import Correspondence
 from clalign.errors import ResultError
@@ -165,7 +165,7 @@ def draw_recorded_curves(folder: Path) -> Drawing:
         The folder is not one of a benchmark, or has no pair in it.
     """
     groups: dict[str, list[Record]] = {}
-    records = {record.key: record for record in read_records(folder / RECORDS_FILE)}
+    records = {record.key: record for record in read_records(folder)}
     suites = {record.suite for record in records.values()}
     last = {(record.suite, record.method): record.settings for record in records.values()}
     for record in records.values():
@@ -177,6 +177,6 @@ def draw_recorded_curves(folder: Path) -> Drawing:
         raise ResultError(f"{folder / RECORDS_FILE}: no pair in it")
     drawn = {}
     for unit in AXIS_LABELS:
-        curves = read_curves(folder / CURVES_FILE, unit)
+        curves = read_curves(folder, unit)
         drawn[unit] = {label: mean_curve(group, curves) for label, group in groups.items()}
     return draw_error_curves(drawn)
