@@ -53,6 +53,7 @@ _HOMES = {
     "evaluate": "evaluation.errors",
     "match": "matching.pair",
     "match_collection": "collection.run",
+    "notebook_html": "presentation.notebook",
 }
 
 __all__ = [

@@ -22,7 +22,7 @@ from clalign.geometry.spectra import Spectrum
 from clalign.maps.point_maps import PointMaps, check_map, write_map
 from clalign.mesh.mesh import Mesh
 from clalign.options import Options
-from clalign.storage import atomic_folder, recover
+from clalign.storage.folders import atomic_folder, recover
 
 RESULT_FORMAT = 1
 METHOD_VERSION = 1
@@ -157,9 +157,10 @@ class Correspondence:
 
     def _repr_html_(self) -> str:
         """Show the match in a notebook."""
-        from clalign.presentation.notebook import notebook_html
+        import clalign
 
-        return notebook_html(self)
+        html: str = clalign.notebook_html(self)
+        return html
 
     def facts(self) -> dict[str, Any]:
         """Return everything but the arrays as plain values: the content of ``result.json``."""

@@ -79,10 +79,10 @@ class TreeRules:
 class SearchRules:
     """The search for the isometry.
 
-    oriented, plain : the two trees; each finds pairs that the other misses, and the second the mirrored maps that become
-        self-maps.
-    unfold : functions of the first map of an unfolded candidate, and the samples that it is read from; with 12 functions
-        instead of 16 five of six hard pairs are missed.
+    oriented, plain : the two trees; each finds pairs that the other misses, and the second the mirrored maps that
+        become self-maps.
+    unfold : functions of the first map of an unfolded candidate, and the samples that it is read from; with 12
+        functions instead of 16 five of six hard pairs are missed.
     settle : ZoomOut steps of an unfolded candidate, before its orientation is looked at.
     triple_products : products n·(∇φ_a × ∇φ_b) of the first so many functions unfold a candidate.
     scored_products : products of so many functions tell the orientation of a map.

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from clalign.benchmark.methods import Outcome
+from clalign.benchmark.pairs import LoadedPair
 from clalign.errors import InputError
-from clalign.evaluation.pairs import Problem
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 
@@ -82,8 +82,8 @@ class NearestMethod:
     log: str = ""
     settings: str = "1"
 
-    def __call__(self, problem: Problem) -> Outcome:
-        source, target = problem.source, problem.target
+    def __call__(self, pair: LoadedPair) -> Outcome:
+        source, target = pair.source, pair.target
         if self.log:
             with Path(self.log).open("a", encoding="ascii") as stream:
                 stream.write(f"{source.name} {target.name}\n")
@@ -105,7 +105,7 @@ class EndlessMethod:
     name: str = "endless"
     settings: str = "1"
 
-    def __call__(self, problem: Problem) -> Outcome:
+    def __call__(self, pair: LoadedPair) -> Outcome:
         import fcntl
 
         stream = (Path(self.folder) / str(os.getpid())).open("w", encoding="ascii")

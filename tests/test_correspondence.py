@@ -18,7 +18,7 @@ import pytest
 
 from clalign.correspondence import Correspondence
 from clalign.errors import ResultError
-from clalign.storage import atomic_folder
+from clalign.storage.folders import atomic_folder
 
 MARKER = "result.json"
 
@@ -235,7 +235,7 @@ WRITER = textwrap.dedent(
     """
     import sys
     from pathlib import Path
-    from clalign.storage import atomic_folder
+    from clalign.storage.folders import atomic_folder
 
     number = 0
     print("ready", flush=True)

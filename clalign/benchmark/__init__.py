@@ -1,1 +1,1 @@
-"""Measurements of accuracy and speed, and their tables."""
+"""Benchmarks: data sets, methods that run over their pairs, measurements of accuracy and speed, and their tables."""

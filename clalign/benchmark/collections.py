@@ -19,6 +19,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.benchmark.pairs import TruthFiles
+from clalign.benchmark.table import markdown_table
 from clalign.collection.cluster import shared_out, wait_for_workers
 from clalign.collection.consistency import NETWORK_BYTES
 from clalign.collection.forecast import size_text
@@ -31,7 +33,6 @@ from clalign.collection.store import CACHE_FOLDER, PairMaps
 from clalign.collection.work import EIGENVALUES, match_members
 from clalign.errors import ClalignError, OptionError
 from clalign.evaluation.errors import evaluate
-from clalign.evaluation.pairs import TruthFiles
 from clalign.mesh.mesh import Mesh, load_mesh
 from clalign.options import Options
 
@@ -73,13 +74,6 @@ class Errors:
     maps: str
     means: tuple[float, ...]
     flipped: int | None
-
-    def text(self) -> str:
-        """Return a row of the table."""
-        values = 100 * np.array(self.means)
-        flips = "not known" if self.flipped is None else str(self.flipped)
-        errors = f"{values.mean():.3f} | {np.median(values):.3f} | {values.max():.3f}"
-        return f"| {self.maps} | {len(values)} | {flips} | {errors} |"
 
 
 def run_one(
@@ -237,22 +231,30 @@ def error_rows(name: str, collection: Collection, points: int) -> list[Errors]:
 
 def times_table(times: Sequence[RunTimes], differing: dict[str, int]) -> str:
     """Return the table of seconds, and of maps that differ from those of the first run."""
-    lines = [
-        "| run | workers | seconds | shapes | pairs | consistency | workers busy | maps that differ |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|",
+    header = ("run", "workers", "seconds", "shapes", "pairs", "consistency", "workers busy", "maps that differ")
+    rows = [
+        [
+            one.run,
+            str(one.workers),
+            "resumed" if one.wall is None else f"{one.wall:.0f}",
+            *(f"{seconds:.0f}" for seconds in (one.shapes, one.pairs, one.consistent)),
+            "" if one.busy is None else f"{one.busy:.0%}",
+            str(differing.get(one.run, "")),
+        ]
+        for one in times
     ]
-    for entry in times:
-        wall = "resumed" if entry.wall is None else f"{entry.wall:.0f}"
-        busy = "" if entry.busy is None else f"{entry.busy:.0%}"
-        work = f"{entry.shapes:.0f} | {entry.pairs:.0f} | {entry.consistent:.0f}"
-        lines.append(f"| {entry.run} | {entry.workers} | {wall} | {work} | {busy} | {differing.get(entry.run, '')} |")
-    return "\n".join(lines)
+    return markdown_table(header, rows)
 
 
 def errors_table(errors: Sequence[Errors]) -> str:
-    """Return the table of errors."""
-    head = "| maps | pairs | flipped | mean | median | worst |\n|---|---:|---:|---:|---:|---:|"
-    return "\n".join([head, *(entry.text() for entry in errors)])
+    """Return the table of errors, times 100."""
+    rows = []
+    for entry in errors:
+        values = 100 * np.array(entry.means)
+        flips = "not known" if entry.flipped is None else str(entry.flipped)
+        errors_text = [f"{value:.3f}" for value in (values.mean(), np.median(values), values.max())]
+        rows.append([entry.maps, str(len(values)), flips, *errors_text])
+    return markdown_table(("maps", "pairs", "flipped", "mean", "median", "worst"), rows)
 
 
 @dataclass(frozen=True)
@@ -300,8 +302,7 @@ class Costs:
                 size_text(pairs * self.loaded * self.shape_bytes),
             ),
         ]
-        head = f"| what | one | {pairs:.0e} pairs |\n|---|---|---|"
-        return "\n".join([head, *(f"| {name} | {one} | {many} |" for name, one, many in rows)])
+        return markdown_table(("what", "one", f"{pairs:.0e} pairs"), rows, text_columns=3)
 
 
 def costs(collection: Collection) -> Costs:

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import Rotation
 
+from clalign.benchmark.pairs import LoadedPair
 from clalign.errors import OptionError
-from clalign.evaluation.pairs import Problem
 from clalign.evaluation.truth import Truth
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
 
@@ -18,7 +18,7 @@ BEND = 0.3
 JITTER = 0.25
 
 
-def generated_pair(count: int, seed: int = 0) -> Problem:
+def generated_pair(count: int, seed: int = 0) -> LoadedPair:
     """Return a pair of meshes of `count` vertices each and the nearest target vertex of every source vertex.
 
     The body is a stretched sphere with bumps and no symmetry; the target is bent about an axis across it. Both are the
@@ -36,7 +36,7 @@ def generated_pair(count: int, seed: int = 0) -> Problem:
     source = _mesh(source_points, _body(source_points, seed), f"generated-{count}-source")
     target = _mesh(target_points, _bent(_body(target_points, seed)), f"generated-{count}-target")
     _, nearest = cKDTree(target_points).query(source_points)
-    return Problem(f"generated {count}", source, target, Truth(np.arange(count), nearest.astype(np.int64)), None)
+    return LoadedPair(f"generated {count}", source, target, Truth(np.arange(count), nearest.astype(np.int64)), None)
 
 
 def _points_on_sphere(count: int, seed: int) -> NDArray[np.float64]:

@@ -1,26 +1,66 @@
-"""What a benchmark runs: one method with its settings, called with two meshes."""
+"""What a benchmark runs: a method with its settings, called with a pair of meshes.
+
+A method is written ``[NAME=]BASE[+OPTION=VALUE ...]``: what tables call it (the text itself where no name is given), a
+short name of `NAMED`, and the options that differ from it. ``+truth=isometric`` and ``+truth=signs`` are no options:
+they say what `AlignMethod` takes from the truth.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
-from clalign.errors import OptionError, ResultError
-from clalign.evaluation.pairs import Problem
+from clalign.errors import ClalignWarning, OptionError, ResultError
 from clalign.options import Options
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from clalign.benchmark.pairs import LoadedPair
     from clalign.correspondence import Correspondence
     from clalign.geometry.cache import ShapeCache
+    from clalign.geometry.shape import Shape
 
 Progress = Callable[[str, float, str], None]
+Watch = Callable[[str], Progress]
+FromTruth = Literal["", "isometric", "signs"]
+
+#: The methods with a short name: what it stands for, beginning with a preset, and the label in figures.
+NAMED: dict[str, tuple[str, str]] = {
+    "default": ("default", "this program"),
+    "fast": ("fast", "preset fast"),
+    "cycle": ("default+alignment.cycle=true", "with the cycle term"),
+    "one-sided": ("default+alignment.sides=one", "one side only"),
+    "heat-kernel": ("default+spectrum.metric=heat-kernel", "heat-kernel metric"),
+    "auto-metric": ("default+spectrum.metric=auto", "ξ chosen for the pair"),
+    "search-only": ("default+alignment.outer_iterations=0+readout.refine=none+readout.steps=0", "search only"),
+    "zoomout": (
+        "default+alignment.outer_iterations=0+readout.refine=zoomout+readout.steps=0",
+        "by ZoomOut as a whole",
+    ),
+    "patches": ("default+alignment.outer_iterations=0+readout.steps=0", "patch by patch"),
+    "aligned": ("default+readout.steps=0", "no steps after the alignment"),
+    "closed-form": ("default+alignment.outer_iterations=0", "least-squares start of R"),
+    "mirrored": ("default+search.orientation=reversing", "from the mirror image"),
+    "isometric": ("default+truth=isometric", "isometry enforced"),
+    "paper": ("paper", "as printed (Eq. 24)"),
+    "paper-searched": ("paper+search.method=tree", "as printed, from the search"),
+    "paper-cycle": ("paper+alignment.cycle=true", "as printed, with the cycle term (Eq. 32)"),
+    "paper-heat-kernel": ("paper+spectrum.metric=heat-kernel", "as printed, heat-kernel metric"),
+    "paper-isometric": ("paper+truth=isometric", "as printed, isometry enforced"),
+    "paper-mirrored": ("paper+truth=signs", "as printed, other signs"),
+    "pyfm": ("pyfm", "pyFM"),
+}
+
+_BEFORE_CHANGE = re.compile(r"\+(?=[\w.]+=)")
+_COMMA = re.compile(r",(?![^(\[]*[)\]])")
 
 
 @dataclass(frozen=True)
@@ -53,7 +93,7 @@ class Method(Protocol):
     def settings(self) -> str:
         """Short text that differs when results may differ."""
 
-    def __call__(self, problem: Problem) -> Outcome:
+    def __call__(self, pair: LoadedPair) -> Outcome:
         """Match the source of a pair with its target; only a method that says so looks at the truth."""
 
 
@@ -63,124 +103,86 @@ class AlignMethod:
 
     Shapes come from the cache once they were prepared, so the seconds of a pair depend on what ran before;
     `clalign bench pair` measures cold and warm.
+
+    truth : what is taken from it. "isometric", the study of Fig. 5 in which the shapes are made isometric: D_Y is D_X
+        carried over by the truth. "signs", the paper's start as it goes when the eigensolver happens to give the signs
+        of the mirror image: a solver gives eigenfunctions any signs, and a diagonal start of R cannot change them, as
+        both sides of a column get the same sign.
     """
 
     name: str
     options: Options = field(default_factory=Options)
+    truth: FromTruth = ""
 
     @property
     def settings(self) -> str:
         """Version of the package and a digest of the options."""
         import clalign
 
-        return f"{clalign.__version__}-{digest(self.options.as_dict())}"
+        return "-".join(part for part in (clalign.__version__, self.truth, digest(self.options.as_dict())) if part)
 
     def correspondence(
-        self, problem: Problem, cache: ShapeCache | None = None, progress: Progress | None = None
-    ) -> Correspondence:
-        """Return the whole result of one pair."""
-        import clalign
-
-        return clalign.match(problem.source, problem.target, self.options, cache=cache, progress=progress)
-
-    def __call__(self, problem: Problem) -> Outcome:
-        """Match one pair."""
-        from clalign.geometry.cache import ShapeCache
-
-        start = time.perf_counter()
-        result = self.correspondence(problem, ShapeCache())
-        return outcome_of(result, time.perf_counter() - start)
-
-
-@dataclass(frozen=True)
-class IsometricMethod:
-    """The study of Fig. 5 in which the shapes are made isometric: D_Y is D_X carried over by the truth."""
-
-    name: str
-    options: Options
-
-    @property
-    def settings(self) -> str:
-        """Version of the package and a digest of the options."""
-        import clalign
-
-        return f"{clalign.__version__}-isometric-{digest(self.options.as_dict())}"
-
-    def correspondence(
-        self, problem: Problem, cache: ShapeCache | None = None, progress: Progress | None = None
-    ) -> Correspondence:
-        """Return the whole result of one pair, matched with the target's distances taken from the source."""
-        from clalign.engine import open_backend
-        from clalign.evaluation.isometric import with_distances_of
-        from clalign.geometry.shape import prepare_pair
-        from clalign.matching.pair import match_shapes
-        from clalign.matching.stages import Clock
-
-        source, target = prepare_pair(problem.source, problem.target, self.options, cache)
-        carried = with_distances_of(target, source, problem.truth)
-        return match_shapes(source, carried, open_backend(self.options.engine), self.options, Clock(progress))
-
-    def __call__(self, problem: Problem) -> Outcome:
-        """Match one pair."""
-        from clalign.geometry.cache import ShapeCache
-
-        start = time.perf_counter()
-        result = self.correspondence(problem, ShapeCache())
-        return outcome_of(result, time.perf_counter() - start)
-
-
-@dataclass(frozen=True)
-class SignedMethod:
-    """The paper's start, as it goes when the eigensolver happens to give the signs of the mirror image.
-
-    A solver gives eigenfunctions any signs, and a diagonal start of R cannot change them: both sides of a column get
-    the same sign. With the signs that the mirrored truth asks for, the paper's start is that of the mirror image.
-    """
-
-    name: str
-    options: Options
-
-    @property
-    def settings(self) -> str:
-        """Version of the package and a digest of the options."""
-        import clalign
-
-        return f"{clalign.__version__}-signs-{digest(self.options.as_dict())}"
-
-    def correspondence(
-        self, problem: Problem, cache: ShapeCache | None = None, progress: Progress | None = None
+        self, pair: LoadedPair, cache: ShapeCache | None = None, progress: Progress | None = None
     ) -> Correspondence:
         """Return the whole result of one pair.
 
         Raises
         ------
         ResultError
-            The mirror image of the truth is not known.
+            The truth that is needed is not known.
         """
-        from clalign.engine import open_backend
-        from clalign.evaluation.isometric import total_maps
-        from clalign.evaluation.spectral import true_rotation
-        from clalign.geometry.shape import prepare_pair
-        from clalign.matching.pair import match_shapes
-        from clalign.matching.stages import Clock
+        import clalign
 
-        if problem.mirrored is None:
-            raise ResultError(f"{problem.name}: {self.name} needs the mirror image of the truth")
-        source, target = prepare_pair(problem.source, problem.target, self.options, cache)
-        source_of_target, _ = total_maps(problem.source, problem.target, problem.mirrored)
-        count = min(source.descriptors.count, target.descriptors.count)
-        mirrored = true_rotation(source.descriptors.functions[:, :count], target.descriptors, source_of_target)
-        signs = np.where(np.diagonal(mirrored) < 0, -1.0, 1.0)
-        source = replace(source, descriptors=source.descriptors.head(count, signs))
+        if not self.truth:
+            return clalign.match(pair.source, pair.target, self.options, cache=cache, progress=progress)
+        from clalign.engine import open_backend
+        from clalign.evaluation.distances import with_distances_of
+        from clalign.evaluation.truth import true_maps
+        from clalign.geometry.shape import prepare_pair
+        from clalign.matching.loop import Clock
+        from clalign.matching.pair import match_shapes
+
+        source, target = prepare_pair(pair.source, pair.target, self.options, cache)
+        if self.truth == "isometric":
+            target = with_distances_of(target, source, pair.truth)
+        elif pair.mirrored is None:
+            raise ResultError(f"{pair.name}: {self.name} needs the mirror image of the truth")
+        else:
+            maps = true_maps(pair.source, pair.target, pair.mirrored)
+            source = _with_signs_of(source, target, maps.source_of_target)
         return match_shapes(source, target, open_backend(self.options.engine), self.options, Clock(progress))
 
-    def __call__(self, problem: Problem) -> Outcome:
+    def __call__(self, pair: LoadedPair) -> Outcome:
         """Match one pair."""
+        from clalign.correspondence import finite_or_none
         from clalign.geometry.cache import ShapeCache
 
         start = time.perf_counter()
-        result = self.correspondence(problem, ShapeCache())
-        return outcome_of(result, time.perf_counter() - start)
+        result = uninterrupted(self.correspondence(pair, ShapeCache()))
+        seconds = time.perf_counter() - start
+        barycentric = None
+        if result.source_faces is not None and result.source_barycentric is not None:
+            barycentric = (result.source_faces, result.source_barycentric)
+        return Outcome(
+            target_of_source=result.target_of_source,
+            seconds=seconds,
+            stages=result.timings,
+            confidence=finite_or_none(result.confidence),
+            orientation=finite_or_none(result.orientation),
+            barycentric=barycentric,
+        )
+
+
+def _with_signs_of(source: Shape, target: Shape, source_of_target: NDArray[np.int64]) -> Shape:
+    """Return the source with eigenfunctions of the signs that make the diagonal of a map's C̃ positive."""
+    import numpy as np
+
+    from clalign.evaluation.spectral import true_rotation
+
+    count = min(source.descriptors.count, target.descriptors.count)
+    rotation = true_rotation(source.descriptors.functions[:, :count], target.descriptors, source_of_target)
+    signs = np.where(np.diagonal(rotation) < 0, -1.0, 1.0)
+    return replace(source, descriptors=source.descriptors.head(count, signs))
 
 
 def uninterrupted(result: Correspondence) -> Correspondence:
@@ -190,80 +192,41 @@ def uninterrupted(result: Correspondence) -> Correspondence:
     return result
 
 
-def outcome_of(result: Correspondence, seconds: float) -> Outcome:
-    """Return what a benchmark keeps of a result."""
-    from clalign.correspondence import finite_or_none
-
-    result = uninterrupted(result)
-    barycentric = None
-    if result.source_faces is not None and result.source_barycentric is not None:
-        barycentric = (result.source_faces, result.source_barycentric)
-    return Outcome(
-        target_of_source=result.target_of_source,
-        seconds=seconds,
-        stages=result.timings,
-        confidence=finite_or_none(result.confidence),
-        orientation=finite_or_none(result.orientation),
-        barycentric=barycentric,
-    )
+def split_list(text: str) -> list[str]:
+    """Return the entries of a comma-separated list; values that hold commas themselves stand in brackets."""
+    return [entry.strip() for entry in _COMMA.split(text)]
 
 
-#: Name, preset and changes of the methods that a benchmark can be asked for by name.
-NAMED_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
-    "default": ("default", {}),
-    "fast": ("fast", {}),
-    "cycle": ("default", {"alignment.cycle": True}),
-    "one-sided": ("default", {"alignment.sides": "one"}),
-    "unitarity": ("default", {"alignment.unitarity": 100.0}),
-    "frozen": ("default", {"alignment.denominator": "frozen"}),
-    "uniform": ("default", {"alignment.weights": "uniform"}),
-    "full-band": ("default", {"alignment.band": "full"}),
-    "diagonal-band": ("default", {"alignment.band": "diagonal"}),
-    "no-band": ("default", {"alignment.band": "none"}),
-    "euclidean": ("default", {"spectrum.metric": "euclidean"}),
-    "regularized": ("default", {"spectrum.metric": "regularized"}),
-    "heat-kernel": ("default", {"spectrum.metric": "heat-kernel"}),
-    "search-only": ("default", {"alignment.rounds": 0, "readout.refine": "none", "readout.steps": 0}),
-    "up-sampled": ("default", {"alignment.rounds": 0, "readout.refine": "upsample", "readout.steps": 0}),
-    "pieces": ("default", {"alignment.rounds": 0, "readout.steps": 0}),
-    "aligned": ("default", {"readout.steps": 0}),
-    "closed-form": ("default", {"alignment.rounds": 0}),
-    "auto-metric": ("default", {"spectrum.metric": "auto"}),
-    "mirrored": ("default", {"search.orientation": "reversing"}),
-    "paper": ("paper", {}),
-    "paper-searched": ("paper", {"search.method": "tree"}),
-    "paper-cycle": ("paper", {"alignment.cycle": True}),
-    "paper-heat-kernel": ("paper", {"spectrum.metric": "heat-kernel"}),
-    "paper-one-sided": ("paper", {"alignment.sides": "one"}),
-}
+def align_method(text: str, changes: Mapping[str, Any]) -> AlignMethod:
+    """Return a method of ours.
 
-#: Methods whose target has the source's distances, by the preset of their other options.
-ISOMETRIC_PRESETS = {"isometric": "default", "paper-isometric": "paper"}
-
-#: The paper's start with the signs of the mirror image.
-PAPER_MIRRORED = "paper-mirrored"
-
-
-def own_method(name: str, changes: Mapping[str, Any]) -> AlignMethod | IsometricMethod | SignedMethod:
-    """Return a variant of our own method by its name among `method_names`.
+    Parameters
+    ----------
+    text : as of the module.
+    changes : to options that the text does not change itself.
 
     Raises
     ------
     OptionError
-        No such method or option.
+        No such base or option.
     """
-    if name in ISOMETRIC_PRESETS:
-        return IsometricMethod(name, Options.preset(ISOMETRIC_PRESETS[name]).replace(changes))
-    if name == PAPER_MIRRORED:
-        return SignedMethod(name, Options.preset("paper").replace(changes))
-    if name in NAMED_OPTIONS:
-        preset, own = NAMED_OPTIONS[name]
-        return AlignMethod(name, Options.preset(preset).replace({**own, **changes}))
-    raise OptionError(f"unknown method {name!r}; there are {', '.join(method_names())}")
+    head, *own = _BEFORE_CHANGE.split(text)
+    name, _, base = head.rpartition("=")
+    if base not in NAMED or base == "pyfm":
+        raise OptionError(
+            f"unknown method {base!r}; there are {', '.join(NAMED)}, and each of ours with options of its own, such as "
+            "name=default+alignment.weight=50"
+        )
+    preset, *given = _BEFORE_CHANGE.split(NAMED[base][0])
+    merged = {**changes, **dict(change.split("=", 1) for change in (*given, *own))}
+    truth = merged.pop("truth", "")
+    if truth not in get_args(FromTruth):
+        raise OptionError(f"truth={truth} in {text!r}: there are {', '.join(get_args(FromTruth)[1:])}")
+    return AlignMethod(name or text, Options.preset(preset).replace(merged), truth)
 
 
-def named_methods(names: Sequence[str], changes: Mapping[str, Any]) -> list[Method]:
-    """Return the methods of some `method_names`; `changes` to options apply to all of ours.
+def named_methods(texts: Sequence[str], changes: Mapping[str, Any]) -> list[Method]:
+    """Return methods by their texts; `changes` to options apply to all of ours.
 
     Raises
     ------
@@ -272,12 +235,58 @@ def named_methods(names: Sequence[str], changes: Mapping[str, Any]) -> list[Meth
     """
     from clalign.benchmark.peers import PyfmMethod
 
-    return [PyfmMethod() if name == "pyfm" else own_method(name, changes) for name in names]
+    return [PyfmMethod() if text == "pyfm" else align_method(text, changes) for text in texts]
 
 
-def method_names() -> tuple[str, ...]:
-    """Return every name that a benchmark can be asked for."""
-    return (*NAMED_OPTIONS, *ISOMETRIC_PRESETS, PAPER_MIRRORED, "pyfm")
+def method_label(text: str) -> str:
+    """Return what figures call a method."""
+    return NAMED[text][1] if text in NAMED else text.partition("+")[0].rpartition("=")[0] or text
+
+
+class MethodRuns:
+    """Matches of one pair by several of our methods, each computed when it is first asked for.
+
+    Parameters
+    ----------
+    pair : what is matched.
+    changes : options changed in every method.
+    cache : keeps what is computed of a single shape between the methods.
+    watch : called with the method that is about to run; returns its progress callback.
+    known : matches that are there already.
+    """
+
+    def __init__(
+        self,
+        pair: LoadedPair,
+        changes: Mapping[str, Any],
+        *,
+        cache: ShapeCache | None = None,
+        watch: Watch | None = None,
+        known: Mapping[str, Correspondence] | None = None,
+    ) -> None:
+        self.pair = pair
+        self._changes = dict(changes)
+        self._cache = cache
+        self._watch = watch
+        self._done = dict(known or {})
+
+    def __call__(self, text: str) -> Correspondence:
+        """Return the match by one method.
+
+        Its warnings are not raised, since a variant is expected to fail here and there; they are in the result.
+
+        Raises
+        ------
+        OptionError
+            No such method, or a change that no option takes.
+        """
+        if text not in self._done:
+            method = align_method(text, self._changes)
+            progress = None if self._watch is None else self._watch(text)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ClalignWarning)
+                self._done[text] = uninterrupted(method.correspondence(self.pair, self._cache, progress))
+        return self._done[text]
 
 
 def digest(values: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""One match in a process of its own, for `performance_pair`.
+"""One match in a process of its own, for `clalign.benchmark.pair`.
 
 ``python -m clalign.benchmark.pair_process REQUEST.json`` prints a JSON document with the seconds of the match, those
 of its stages and the most memory that the process and its helpers held.
@@ -69,8 +69,8 @@ def _clalign(request: Request) -> tuple[NDArray[np.int64], dict[str, float], str
 
 
 def _pyfm(request: Request) -> tuple[NDArray[np.int64], dict[str, float], str]:
+    from clalign.benchmark.pairs import LoadedPair
     from clalign.benchmark.peers import PyfmMethod
-    from clalign.evaluation.pairs import Problem
     from clalign.evaluation.truth import Truth
     from clalign.mesh.mesh import load_mesh
 
@@ -78,7 +78,7 @@ def _pyfm(request: Request) -> tuple[NDArray[np.int64], dict[str, float], str]:
     source, target = load_mesh(request.source), load_mesh(request.target)
     read = time.perf_counter() - start
     nothing = np.zeros(0, dtype=np.int64)
-    outcome = PyfmMethod()(Problem("pair", source, target, Truth(nothing, nothing), None))
+    outcome = PyfmMethod()(LoadedPair("pair", source, target, Truth(nothing, nothing), None))
     return outcome.target_of_source, {"read": read, **outcome.stages}, f"numpy {np.__version__}"
 
 

@@ -10,8 +10,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from clalign.benchmark.methods import Outcome, digest
+from clalign.benchmark.pairs import LoadedPair
 from clalign.errors import InputError
-from clalign.evaluation.pairs import Problem
 
 INSTALL = "pip install pyfmaps==1.3.1"
 
@@ -38,7 +38,7 @@ class PyfmMethod:
         """Version of pyFM and a digest of the values above."""
         return f"pyfm-{_pyfm_version()}-{digest(asdict(self))}"
 
-    def __call__(self, problem: Problem) -> Outcome:
+    def __call__(self, pair: LoadedPair) -> Outcome:
         """Match one pair; pyFM's maps go from its second mesh to its first, so the target is the first.
 
         Raises
@@ -53,7 +53,7 @@ class PyfmMethod:
         start = time.perf_counter()
         first, second = (
             TriMesh(mesh.vertices.copy(), mesh.faces.astype(np.int64), area_normalize=True, center=True)
-            for mesh in (problem.target, problem.source)
+            for mesh in (pair.target, pair.source)
         )
         # Its optimiser and progress bars print; a benchmark's output is ours.
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -65,9 +65,7 @@ class PyfmMethod:
             refined = model.zoomout_refine(nit=(self.refined - self.size) // self.step, step=self.step)
             target_of_source = np.asarray(model.get_p2p(refined), dtype=np.int64)
         end = time.perf_counter()
-        source, target = problem.source, problem.target
-        index = np.full(source.file_count, -1, dtype=np.int64)
-        index[source.file_index] = target.file_index[target_of_source]
+        index = pair.source.map_to_file(pair.target, target_of_source)
         stages = {"spectra": prepared - start, "fit": fitted - prepared, "zoomout": end - fitted}
         return Outcome(index, end - start, stages)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from clalign.geometry.workers import processor_count
+from clalign.storage.files import size_text
 
 
 @dataclass(frozen=True)
@@ -74,12 +75,6 @@ def elapsed(run: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
-    """Return a Markdown table whose first `text_columns` columns are text and whose others are numbers."""
-    marks = ["---"] * text_columns + ["--:"] * (len(header) - text_columns)
-    return "\n".join(["| " + " | ".join(cells) + " |" for cells in (header, marks, *rows)])
-
-
 def seconds_text(seconds: float) -> str:
     """Return a duration with three digits and a unit."""
     for unit, factor in (("s", 1.0), ("ms", 1e3)):
@@ -89,10 +84,8 @@ def seconds_text(seconds: float) -> str:
 
 
 def bytes_text(size: int | None) -> str:
-    """Return a number of bytes in GB or MB, or a dash."""
-    if size is None:
-        return "–"
-    return f"{size / 1e9:.2f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
+    """Return a number of bytes as people read it, or a dash."""
+    return "–" if size is None else size_text(size)
 
 
 def exponent_text(exponent: float | None) -> str:

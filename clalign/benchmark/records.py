@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import os
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +11,11 @@ from numpy.typing import NDArray
 from clalign.benchmark.methods import Outcome
 from clalign.errors import ResultError
 from clalign.evaluation.errors import THRESHOLDS, Evaluation
+from clalign.storage.rows import RowFile, append_rows, complete_rows
 
 RECORDS_FILE = "pairs.csv"
 CURVES_FILE = "curves.csv"
+_CURVES_HEADER = ["suite", "pair", "method", "settings", "unit", *(f"{r:.3f}" for r in THRESHOLDS)]
 
 Key = tuple[str, str, str, str]
 
@@ -107,13 +104,16 @@ def record_of(key: Key, evaluation: Evaluation, outcome: Outcome) -> Record:
 def failed_record(key: Key, reason: str) -> Record:
     """Return the row of a pair without a map."""
     suite, pair, method, settings = key
-    return Record(suite, pair, method, settings, status="failed", message=" ".join(reason.split()))
+    return Record(suite, pair, method, settings, status="failed", message=reason)
 
 
 class RecordFile:
-    """``pairs.csv`` and ``curves.csv`` of a folder, appended row by row and flushed to the disk.
+    """``pairs.csv`` and ``curves.csv`` of a folder, to which a run adds each pair as soon as it is known.
 
-    A run that was killed in the middle of a row loses that row only.
+    Raises
+    ------
+    ResultError
+        The folder cannot be made.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -121,90 +121,37 @@ class RecordFile:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ResultError(f"{folder}: cannot make this folder ({error.strerror})") from error
-        self._records = folder / RECORDS_FILE
-        self._curves = folder / CURVES_FILE
+        self._folder = folder
 
     def read(self) -> list[Record]:
-        """Return all rows, the last one of each key.
-
-        Raises
-        ------
-        ResultError
-            The file is of another kind.
-        """
-        return list({record.key: record for record in read_records(self._records)}.values())
+        """Return all rows, the last one of each key; see `read_records`."""
+        return list({record.key: record for record in read_records(self._folder)}.values())
 
     def append(self, record: Record, curves: dict[str, NDArray[np.float64]]) -> None:
         """Write the curves (by unit) and then the row, so that a row that is there has its curves."""
-        header = ["suite", "pair", "method", "settings", "unit", *(f"{r:.3f}" for r in THRESHOLDS)]
         rows = [[*record.key, unit, *(f"{share:.5f}" for share in curve)] for unit, curve in curves.items()]
-        _append(self._curves, header, rows)
-        _append(self._records, [field.name for field in fields(Record)], [_cells(record)])
+        append_rows(self._folder / CURVES_FILE, _CURVES_HEADER, rows)
+        RowFile(self._folder / RECORDS_FILE, Record).append(record)
 
 
-def read_records(path: Path) -> list[Record]:
-    """Return the complete rows of a ``pairs.csv``; none when there is no such file.
+def read_records(folder: Path) -> list[Record]:
+    """Return the complete rows of a benchmark's folder; none when there is no such file.
 
     Raises
     ------
     ResultError
-        The file is not one of these.
+        The file is of another kind.
     """
-    if not path.is_file() or not path.stat().st_size:
-        return []
-    names = [field.name for field in fields(Record)]
-    with path.open(newline="", encoding="utf-8") as stream:
-        rows = list(csv.reader(stream))
-    if not rows or rows[0] != names:
-        raise ResultError(f"{path} was not written by this version's benchmark; choose another folder with --out")
-    return [_record(row) for row in rows[1:] if len(row) == len(names)]
+    return RowFile(folder / RECORDS_FILE, Record).read()
 
 
-def read_curves(path: Path, unit: str) -> dict[Key, NDArray[np.float64]]:
-    """Return the (251,) curves of a ``curves.csv`` in one unit ("sqrt_area" or "diameter")."""
-    curves: dict[Key, NDArray[np.float64]] = {}
-    if path.is_file():
-        with path.open(newline="", encoding="utf-8") as stream:
-            for row in csv.reader(stream):
-                if len(row) == 5 + THRESHOLDS.size and row[4] == unit:
-                    curves[(row[0], row[1], row[2], row[3])] = np.array(row[5:], dtype=np.float64)
-    return curves
+def read_curves(folder: Path, unit: str) -> dict[Key, NDArray[np.float64]]:
+    """Return the (251,) curves of a benchmark's folder in one unit ("sqrt_area" or "diameter").
 
-
-def _append(path: Path, header: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    if not path.is_file() or not path.stat().st_size:
-        writer.writerow(header)
-    elif not path.read_bytes().endswith(b"\n"):
-        text.write("\n")
-    writer.writerows(rows)
-    with path.open("a", encoding="utf-8", newline="") as stream:
-        stream.write(text.getvalue())
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def _cells(record: Record) -> list[str]:
-    return [_cell(value) for value in asdict(record).values()]
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _record(row: list[str]) -> Record:
-    values: dict[str, Any] = {}
-    for field, cell in zip(fields(Record), row, strict=True):
-        kind = str(field.type)
-        if kind == "str":
-            values[field.name] = cell
-        elif cell == "":
-            values[field.name] = None
-        elif kind.startswith("bool"):
-            values[field.name] = cell == "True"
-        else:
-            values[field.name] = int(cell) if kind.startswith("int") else float(cell)
-    return Record(**values)
+    Raises
+    ------
+    ResultError
+        The file is of another kind.
+    """
+    rows = complete_rows(folder / CURVES_FILE, _CURVES_HEADER)
+    return {(row[0], row[1], row[2], row[3]): np.array(row[5:], np.float64) for row in rows if row[4] == unit}

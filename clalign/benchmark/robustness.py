@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.benchmark import perturb
+from clalign.benchmark.layouts import Layout, mesh_files
+from clalign.benchmark.pairs import LoadedPair
 from clalign.errors import OptionError
-from clalign.evaluation import perturb
-from clalign.evaluation.layouts import Layout, mesh_files
-from clalign.evaluation.pairs import Problem
 from clalign.evaluation.truth import Truth, read_mirror
 from clalign.mesh.mesh import Mesh, load_mesh
 
@@ -45,7 +45,7 @@ class ChangedPair:
     change: str
     mirror: Path | None = None
 
-    def load(self) -> Problem:
+    def load(self) -> LoadedPair:
         """Read the mesh and change it.
 
         Raises
@@ -60,7 +60,7 @@ class ChangedPair:
         mirrored = None
         if self.mirror is not None:
             truth, mirrored = _with_mirrored(truth, read_mirror(self.mirror, count=source.file_count))
-        return Problem(self.name, source, shuffled.mesh, truth, mirrored)
+        return LoadedPair(self.name, source, shuffled.mesh, truth, mirrored)
 
 
 def _with_mirrored(truth: Truth, mirror: NDArray[np.int64]) -> tuple[Truth, Truth]:

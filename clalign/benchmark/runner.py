@@ -6,9 +6,7 @@ import contextlib
 import logging
 import multiprocessing
 import os
-import shutil
 import signal
-import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -20,14 +18,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.benchmark.layouts import Layout
 from clalign.benchmark.methods import Method
+from clalign.benchmark.pairs import BenchmarkPair
 from clalign.benchmark.records import Key, Record, RecordFile, failed_record, record_of
 from clalign.errors import ClalignError, OptionError
 from clalign.evaluation.distances import DistanceMethod
 from clalign.evaluation.errors import evaluate
-from clalign.evaluation.layouts import Layout
-from clalign.evaluation.pairs import BenchmarkPair
 from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE, environment
+from clalign.storage.files import claim_kernel_folder
 
 logger = logging.getLogger(__name__)
 
@@ -57,8 +56,8 @@ class Measurement:
 
 
 @dataclass(frozen=True)
-class Task:
-    """One pair for one method."""
+class Trial:
+    """One pair by one method."""
 
     suite: str
     pair: BenchmarkPair
@@ -118,12 +117,13 @@ def run(
     if len(set(names)) < len(names):
         raise OptionError(f"two methods of one name among {', '.join(names)}")
     how = measurement or Measurement()
-    tasks = [Task(layout.name, pair, method, how) for layout in layouts for pair in layout.pairs for method in methods]
+    pairs = [(layout.name, pair) for layout in layouts for pair in layout.pairs]
+    trials = [Trial(suite, pair, method, how) for suite, pair in pairs for method in methods]
     file = RecordFile(Path(folder))
     done = {record.key: record for record in file.read() if resume and not record.failed}
-    waiting = [task for task in tasks if task.key not in done]
-    count = len(tasks) - len(waiting)
-    logger.info("%d pairs, %d of them already in %s", len(tasks), count, folder)
+    waiting = [trial for trial in trials if trial.key not in done]
+    count = len(trials) - len(waiting)
+    logger.info("%d pairs, %d of them already in %s", len(trials), count, folder)
     results = _in_this_process(waiting) if jobs == 1 else _in_processes(waiting, jobs)
     with _tidy_termination() if jobs > 1 else contextlib.nullcontext(), contextlib.closing(results):
         for record, curves in results:
@@ -131,49 +131,49 @@ def run(
             done[record.key] = record
             count += 1
             if progress is not None:
-                progress(count, len(tasks), record)
+                progress(count, len(trials), record)
     problems = tuple(problem for layout in layouts for problem in layout.problems)
-    return Run(tuple(done[task.key] for task in tasks), problems)
+    return Run(tuple(done[trial.key] for trial in trials), problems)
 
 
-def measure(task: Task) -> tuple[Record, Curves]:
+def measure(trial: Trial) -> tuple[Record, Curves]:
     """Load, match and evaluate one pair; whatever goes wrong becomes a failed record."""
     try:
-        problem = task.pair.load()
-        outcome = task.method(problem)
+        pair = trial.pair.load()
+        outcome = trial.method(pair)
         evaluation = evaluate(
             outcome.target_of_source,
-            problem.truth,
-            source=problem.source,
-            target=problem.target,
-            mirrored=problem.mirrored,
+            pair.truth,
+            source=pair.source,
+            target=pair.target,
+            mirrored=pair.mirrored,
             barycentric=outcome.barycentric,
-            points=task.measurement.points,
-            seed=task.measurement.seed,
-            method=task.measurement.distances,
-            name=problem.name,
+            points=trial.measurement.points,
+            seed=trial.measurement.seed,
+            method=trial.measurement.distances,
+            name=pair.name,
         )
     except ClalignError as error:
-        return failed_record(task.key, str(error)), {}
+        return failed_record(trial.key, str(error)), {}
     except Exception as error:
-        logger.debug("%s, %s", task.pair.name, task.method.name, exc_info=True)
-        return failed_record(task.key, f"{type(error).__name__}: {error}"), {}
+        logger.debug("%s, %s", trial.pair.name, trial.method.name, exc_info=True)
+        return failed_record(trial.key, f"{type(error).__name__}: {error}"), {}
     curves = {"sqrt_area": evaluation.curve(), "diameter": evaluation.curve(per_diameter=True)}
-    return record_of(task.key, evaluation, outcome), curves
+    return record_of(trial.key, evaluation, outcome), curves
 
 
-def _in_this_process(tasks: Sequence[Task]) -> Generator[tuple[Record, Curves]]:
-    for task in tasks:
-        yield measure(task)
+def _in_this_process(trials: Sequence[Trial]) -> Generator[tuple[Record, Curves]]:
+    for trial in trials:
+        yield measure(trial)
 
 
-def _in_processes(tasks: Sequence[Task], jobs: int) -> Generator[tuple[Record, Curves]]:
+def _in_processes(trials: Sequence[Trial], jobs: int) -> Generator[tuple[Record, Curves]]:
     """Yield results as they come; a process that dies costs the pairs that were being worked on, not the run."""
-    waiting = list(reversed(tasks))
+    waiting = list(reversed(trials))
     with environment(SINGLE_THREAD):
         while waiting:
             with _pool(min(jobs, len(waiting))) as pool:
-                running: dict[Future[tuple[Record, Curves]], Task] = {}
+                running: dict[Future[tuple[Record, Curves]], Trial] = {}
                 broken = False
                 while running or (waiting and not broken):
                     while waiting and len(running) < jobs and not broken:
@@ -184,12 +184,12 @@ def _in_processes(tasks: Sequence[Task], jobs: int) -> Generator[tuple[Record, C
                         except BrokenProcessPool:
                             broken = True
                     for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        task = running.pop(future)
+                        trial = running.pop(future)
                         try:
                             yield future.result()
                         except BrokenProcessPool:
                             broken = True
-                            yield failed_record(task.key, "the worker process ended without an answer"), {}
+                            yield failed_record(trial.key, "the worker process ended without an answer"), {}
 
 
 @contextlib.contextmanager
@@ -198,17 +198,16 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     # Forking would copy an open OpenCL context, which hangs in the child.
     context = multiprocessing.get_context("spawn")
     others = multiprocessing.active_children()
-    with tempfile.TemporaryDirectory(prefix="clalign-kernels-", ignore_cleanup_errors=True) as kernels:
-        pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker, initargs=(kernels,))
-        try:
-            yield pool
-        except BaseException:
-            for process in multiprocessing.active_children():
-                if process not in others:
-                    process.kill()
-            raise
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare_worker)
+    try:
+        yield pool
+    except BaseException:
+        for process in multiprocessing.active_children():
+            if process not in others:
+                process.kill()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 class _Terminated(BaseException):
@@ -253,25 +252,19 @@ def _unheard_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _prepare_worker(folder: str) -> None:
-    """Silence warnings, which the rows tell of, and give the worker its own cache of compiled kernels.
+def _prepare_worker() -> None:
+    """Silence warnings, which the rows tell of, and give the worker a folder of compiled kernels.
 
-    PoCL's breaks when several processes write to it. The worker ends when the process that started it does, however
-    that ends: it would wait for tasks for ever.
+    The worker ends when the process that started it does, however that ends: it would wait for trials for ever.
     """
     warnings.simplefilter("ignore")
-    own = Path(folder) / str(os.getpid())
-    own.mkdir()
-    threading.Thread(target=_end_with_parent, args=(own,), daemon=True).start()
-    os.environ["POCL_CACHE_DIR"] = str(own)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    claim_kernel_folder()
 
 
-def _end_with_parent(own: Path) -> None:
-    """End this process, and remove its folder, once its parent has ended; the last one removes the folder of all."""
+def _end_with_parent() -> None:
+    """End this process once its parent has ended."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
-        shutil.rmtree(own, ignore_errors=True)
-        with contextlib.suppress(OSError):
-            own.parent.rmdir()
         os._exit(1)

@@ -1,4 +1,4 @@
-"""Studies of the values that the paper fixed by hand: one option varied, all else as in the default."""
+"""Studies of values that were fixed by hand, the paper's or ours: one option varied, all else as in the base."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from clalign.benchmark.methods import AlignMethod
-from clalign.benchmark.table import Summary
+from clalign.benchmark.methods import AlignMethod, split_list
+from clalign.benchmark.table import COLUMNS, Summary, error_cells, markdown_table
 from clalign.errors import OptionError
 from clalign.options import Options
 
@@ -94,24 +94,33 @@ STUDIES: dict[str, Study] = {
             Setting("all vertices", {"alignment.samples": 0}),
         ),
     ),
-    "rounds": Study("rounds of the optimisation", _values("rounds", "alignment.rounds", (0, 1, 2, 3, 5, 10))),
+    "rounds": Study("rounds of the optimisation", _values("rounds", "alignment.outer_iterations", (0, 1, 2, 3, 5, 10))),
 }
 
 
-def settings_of(name: str, base: Options) -> tuple[Setting, ...]:
-    """Return the rows of a study, with the base in front if none of them is it.
+def study_of(text: str, base: Options) -> Study:
+    """Return a study with its rows, the base in front if none of them is it.
+
+    Parameters
+    ----------
+    text : a name of `STUDIES`, or ``OPTION=VALUE,VALUE,...``; values that hold commas stand in brackets.
+    base : what the rows differ from.
 
     Raises
     ------
     OptionError
-        No such study.
+        No such study or option.
     """
-    if name not in STUDIES:
-        raise OptionError(f"unknown study {name!r}; there are {', '.join(STUDIES)}")
-    settings = STUDIES[name].settings
-    if any(is_base(setting, base) for setting in settings):
-        return settings
-    return (Setting("as the options say", {}), *settings)
+    option, equals, values = text.partition("=")
+    if equals:
+        study = Study(option, _values(option, option, split_list(values)))
+    elif text in STUDIES:
+        study = STUDIES[text]
+    else:
+        raise OptionError(f"unknown study {text!r}; there are {', '.join(STUDIES)}, and OPTION=VALUE,VALUE,...")
+    if any(is_base(setting, base) for setting in study.settings):
+        return study
+    return Study(study.title, (Setting("as the options say", {}), *study.settings))
 
 
 def is_base(setting: Setting, base: Options) -> bool:
@@ -131,37 +140,18 @@ def methods_of(settings: Sequence[Setting], base: Options) -> list[AlignMethod]:
 
 
 def study_table(title: str, settings: Sequence[Setting], summaries: Sequence[Summary], base: Options) -> str:
-    """Return a Markdown table, the rows of the base in bold; errors are times 100, a block of rows for each suite."""
-    header = (
-        f"| {title} | pairs | mean | median | worst pair | flips | exact | under curve | time, s |\n"
-        "|---|--:|--:|--:|--:|--:|--:|--:|--:|"
-    )
-    lines = [header]
+    """Return a Markdown table, the rows of the base in bold, with a block of rows for each suite."""
+    columns = COLUMNS[2:]
+    rows = []
     suites = list(dict.fromkeys(summary.suite for summary in summaries))
     by_key = {(summary.suite, summary.method): summary for summary in summaries}
     for suite in suites:
         if len(suites) > 1:
-            lines.append(f"| *{suite}* | | | | | | | | |")
+            rows.append([f"*{suite}*", *("" for _ in columns)])
         for setting in settings:
             summary = by_key.get((suite, method_name(setting, base)))
             if summary is not None:
-                lines.append(_row(setting.label, summary, default=is_base(setting, base)))
-    return "\n".join(lines)
-
-
-def _row(label: str, summary: Summary, *, default: bool) -> str:
-    def number(value: float | None, factor: float, digits: int, unit: str = "") -> str:
-        return "–" if value is None else f"{factor * value:.{digits}f}{unit}"
-
-    cells = [
-        f"**{label}** (default)" if default else label,
-        f"{summary.pairs}" + (f" ({summary.failed} failed)" if summary.failed else ""),
-        number(summary.mean, 100, 3),
-        number(summary.median, 100, 3),
-        number(summary.worst, 100, 2),
-        "–" if summary.flips is None else str(summary.flips),
-        number(summary.exact, 100, 1, " %"),
-        number(summary.area_under_curve, 1, 4),
-        number(summary.seconds, 1, 1),
-    ]
-    return f"| {' | '.join(cells)} |"
+                label = f"**{setting.label}** (default)" if is_base(setting, base) else setting.label
+                cells = error_cells(summary)
+                rows.append([label, *(cells[name] for name in columns)])
+    return markdown_table([title, *columns], rows)

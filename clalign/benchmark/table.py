@@ -1,4 +1,4 @@
-"""Summaries of benchmark runs as Markdown and JSON, and the marked sections of a README that hold them."""
+"""Summaries of benchmark runs as Markdown and JSON, and the marked sections of pages that hold them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,15 @@ from numpy.typing import NDArray
 from clalign.benchmark.records import Key, Record
 from clalign.errors import ResultError
 from clalign.evaluation.errors import THRESHOLDS
+
+COLUMNS = (
+    *("suite", "method", "pairs", "mean", "median", "worst pair", "flips", "exact"),
+    *("under curve", "covered", "time, s"),
+)
+"""Of a table of errors."""
+
+SHORT_COLUMNS = ("suite", "method", "pairs", "mean", "worst pair", "flips", "exact", "time, s")
+"""Those that a README has room for."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +79,39 @@ def mean_curve(records: Sequence[Record], curves: Mapping[Key, NDArray[np.float6
     return total / max(len(records), 1)
 
 
-def markdown(summaries: Sequence[Summary]) -> str:
-    """Return a table with errors times 100, as the literature prints them, and the share columns in per cent."""
-    header = (
-        "| suite | method | pairs | mean | median | worst pair | flips | exact | under curve | covered | time, s |\n"
-        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|"
-    )
-    return "\n".join([header, *(_markdown_row(summary) for summary in summaries)])
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
+    """Return a Markdown table whose first `text_columns` columns are text and whose others are numbers."""
+    rule = "|" + text_columns * "---|" + (len(header) - text_columns) * "--:|"
+    lines = ["| " + " | ".join(cells) + " |" for cells in (header, *rows)]
+    return "\n".join([lines[0], rule, *lines[1:]])
+
+
+def markdown(summaries: Sequence[Summary], columns: Sequence[str] = COLUMNS) -> str:
+    """Return a Markdown table with a row for every summary."""
+    rows = [[cells[name] for name in columns] for cells in map(error_cells, summaries)]
+    return markdown_table(columns, rows, text_columns=2)
+
+
+def error_cells(summary: Summary) -> dict[str, str]:
+    """Return a cell for each of `COLUMNS`: errors times 100, as in the literature, and shares in per cent."""
+
+    def number(value: float | None, factor: float, digits: int, unit: str = "") -> str:
+        return "–" if value is None else f"{value * factor:.{digits}f}{unit}"
+
+    cells = [
+        summary.suite,
+        summary.method,
+        f"{summary.pairs}" + (f" ({summary.failed} failed)" if summary.failed else ""),
+        number(summary.mean, 100, 3),
+        number(summary.median, 100, 3),
+        number(summary.worst, 100, 2) + (f" ({summary.worst_pair})" if summary.worst_pair else ""),
+        "–" if summary.flips is None else str(summary.flips),
+        number(summary.exact, 100, 1, " %"),
+        number(summary.area_under_curve, 1, 4),
+        number(summary.coverage, 100, 1, " %"),
+        number(summary.seconds, 1, 1),
+    ]
+    return dict(zip(COLUMNS, cells, strict=True))
 
 
 def as_json(summaries: Sequence[Summary], problems: Sequence[str]) -> str:
@@ -104,8 +139,12 @@ def replace_section(text: str, name: str, body: str) -> str:
     return f"{text[: start + len(opening)]}\n{body}\n{text[end:]}"
 
 
-def update_file(path: str | Path, name: str, body: str) -> None:
-    """Replace a marked section of a file (`replace_section`).
+def update_file(path: str | Path, name: str, body: str, short: str | None = None) -> None:
+    """Replace the marked section `name` of a file (`replace_section`), and the section ``NAME-short``, if it has one.
+
+    Parameters
+    ----------
+    short : what goes into ``NAME-short``; a file that has this section may lack the other.
 
     Raises
     ------
@@ -116,11 +155,14 @@ def update_file(path: str | Path, name: str, body: str) -> None:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
         raise ResultError(f"{path}: cannot be read ({error})") from error
+    bodies = {name: body} if short is None else {name: body, f"{name}-short": short}
+    there = [section for section in bodies if f"<!-- table:{section} -->" in text]
     try:
-        changed = replace_section(text, name, body)
+        for section in there or [name]:
+            text = replace_section(text, section, bodies[section])
     except ResultError as error:
         raise ResultError(f"{path}: {error}") from error
-    Path(path).write_text(changed, encoding="utf-8")
+    Path(path).write_text(text, encoding="utf-8")
 
 
 def _summary(suite: str, method: str, records: Sequence[Record]) -> Summary:
@@ -152,25 +194,3 @@ def _summary(suite: str, method: str, records: Sequence[Record]) -> Summary:
 def _mean(records: Sequence[Record], column: str) -> float | None:
     values = [value for record in records if (value := getattr(record, column)) is not None]
     return float(np.mean(values)) if values else None
-
-
-def _markdown_row(summary: Summary) -> str:
-    pairs = f"{summary.pairs}" if not summary.failed else f"{summary.pairs} ({summary.failed} failed)"
-    cells = [
-        summary.suite,
-        summary.method,
-        pairs,
-        _number(summary.mean, 100, 3),
-        _number(summary.median, 100, 3),
-        f"{_number(summary.worst, 100, 2)} ({summary.worst_pair})" if summary.worst_pair else "–",
-        "–" if summary.flips is None else str(summary.flips),
-        _number(summary.exact, 100, 1, " %"),
-        _number(summary.area_under_curve, 1, 4),
-        _number(summary.coverage, 100, 1, " %"),
-        _number(summary.seconds, 1, 1),
-    ]
-    return f"| {' | '.join(cells)} |"
-
-
-def _number(value: float | None, factor: float, digits: int, unit: str = "") -> str:
-    return "–" if value is None else f"{value * factor:.{digits}f}{unit}"

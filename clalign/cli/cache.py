@@ -13,38 +13,35 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="show or empty the cache of spectra and distances",
         description="Eigenfunctions and distances of every mesh are kept, so that a second match with it starts at "
         "once. The folder is the user's cache folder, or CLALIGN_CACHE; what was used longest ago goes first.",
-        allow_abbrev=False,
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    info = actions.add_parser("info", help="show the folder and what it holds", allow_abbrev=False)
+    info = actions.add_parser("info", help="show the folder and what it holds")
     info.add_argument("--json", action="store_true", help="print one JSON document")
     info.set_defaults(run=show_info)
-    clear = actions.add_parser("clear", help="remove everything", allow_abbrev=False)
+    clear = actions.add_parser("clear", help="remove everything")
     clear.set_defaults(run=clear_all)
 
 
 def show_info(args: argparse.Namespace) -> int:
     """Print folder, entries, size and limit."""
     from clalign.geometry.cache import ShapeCache
+    from clalign.storage.files import size_text
 
     info = ShapeCache().info()
     if args.json:
         values = {"folder": str(info.folder), "entries": info.entries, "bytes": info.size, "limit": info.limit}
         print(json.dumps(values, indent=2))
     else:
-        print(f"{info.folder}: {info.entries} entries, {_mib(info.size)} of at most {_mib(info.limit)}")
+        print(f"{info.folder}: {info.entries} entries, {size_text(info.size)} of at most {size_text(info.limit)}")
     return 0
 
 
 def clear_all(_: argparse.Namespace) -> int:
     """Remove every entry."""
     from clalign.geometry.cache import ShapeCache
+    from clalign.storage.files import size_text
 
     cache = ShapeCache()
     size = cache.info().size
-    print(f"{cache.folder}: removed {cache.clear()} entries, {_mib(size)}")
+    print(f"{cache.folder}: removed {cache.clear()} entries, {size_text(size)}")
     return 0
-
-
-def _mib(size: int) -> str:
-    return f"{size / 2**20:.1f} MiB"

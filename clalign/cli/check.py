@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.cli.terminal import Terminal, table
+from clalign.storage.files import size_text
 
 if TYPE_CHECKING:
     from clalign.mesh.defects import Diagnosis
@@ -43,8 +44,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="examine meshes, and repair them",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("meshes", metavar="MESH", nargs="+", type=Path, help="OFF, PLY, OBJ or STL file")
     parser.add_argument("--repair", metavar="OUT", type=Path, help="write a cleaned copy of the one MESH")
@@ -82,7 +81,7 @@ def _check_usage(args: argparse.Namespace) -> None:
     """Find every mistake in the arguments before any mesh is read."""
     from clalign.errors import OptionError
     from clalign.mesh.writing import require_format
-    from clalign.storage import check_files
+    from clalign.storage.folders import check_files
 
     if args.repair is None:
         if args.merge or args.force:
@@ -191,7 +190,7 @@ def repair_file(path: Path, out: Path, *, merge: bool, force: bool) -> dict[str,
     from clalign.mesh.reading import read_mesh_file
     from clalign.mesh.repair import repair
     from clalign.mesh.writing import save_mesh
-    from clalign.storage import atomic_files
+    from clalign.storage.folders import atomic_files
 
     raw = read_mesh_file(path)
     try:
@@ -259,9 +258,9 @@ def _boundaries(count: int) -> str:
 
 def _cost(predicted: dict[str, Any]) -> str:
     available = predicted["available"]
-    room = "" if available is None else f" of {available / 2**30:.1f} GiB that are free"
+    room = "" if available is None else f" of {size_text(available)} that are free"
     verdict = " (TOO MUCH)" if available is not None and predicted["memory"] > available else ""
-    return f"about {_duration(predicted['seconds'])}, {predicted['memory'] / 2**30:.1f} GiB{room}{verdict}"
+    return f"about {_duration(predicted['seconds'])}, {size_text(predicted['memory'])}{room}{verdict}"
 
 
 def _duration(seconds: float) -> str:

@@ -45,8 +45,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="match a whole set of shapes",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("shapes", metavar="SHAPES", type=Path, help="folder of meshes, or a file that lists them")
     add_job_arguments(parser, DEFAULT_FOLDER)

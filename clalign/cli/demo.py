@@ -21,7 +21,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="match the bundled pair and compare it with the truth",
         description="Match one person in two poses, bundled with clalign, and compare the map with the truth and "
         "with its mirror image. An earlier result of the demo in DIR is replaced.",
-        allow_abbrev=False,
     )
     add_job_arguments(parser, DEFAULT_FOLDER)
     parser.set_defaults(run=run)

@@ -14,6 +14,7 @@ from typing import Any
 
 from clalign.cli.probe import probe
 from clalign.cli.terminal import table
+from clalign.storage.files import KERNEL_VARIABLE, size_text
 
 PACKAGES = ("numpy", "scipy", "trimesh", "pyopencl", "nlopt", "potpourri3d")
 VARIABLES = (
@@ -22,7 +23,7 @@ VARIABLES = (
     "OCL_ICD_VENDORS",
     "OCL_ICD_FILENAMES",
     "OPENCL_VENDOR_PATH",
-    "POCL_CACHE_DIR",
+    KERNEL_VARIABLE,
     "POCL_MAX_PTHREAD_COUNT",
     "OMP_NUM_THREADS",
 )
@@ -36,7 +37,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="examine OpenCL on this machine",
         description="List the OpenCL loader, drivers and devices, run kernels on each device and compare them with "
         "numpy, and name the next command when something is missing. Exit status 0: a device works; 1: none does.",
-        allow_abbrev=False,
     )
     parser.add_argument("--json", action="store_true", help="print the findings as one JSON document")
     parser.set_defaults(run=run)
@@ -111,8 +111,7 @@ def _device_line(device: dict[str, Any]) -> str:
 
 
 def _memory(device: dict[str, Any]) -> str:
-    gib = 1 / 2**30
-    return f"{device['memory'] * gib:.1f} GiB, largest buffer {device['largest_buffer'] * gib:.1f} GiB"
+    return f"{size_text(device['memory'])}, largest buffer {size_text(device['largest_buffer'])}"
 
 
 def passed(answer: dict[str, Any]) -> bool:

@@ -38,8 +38,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="measure a map against the truth",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("map", metavar="MAP", type=Path, help="result folder, or text file of a map")
     parser.add_argument("--source", metavar="FILE", type=Path, help="source mesh, for a bare map")

@@ -8,12 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clalign.cli.bench.accuracy import option_changes
+from clalign.cli.bench.common import add_option_arguments, option_changes
 from clalign.cli.terminal import Terminal
 
 if TYPE_CHECKING:
+    from clalign.benchmark.pairs import LoadedPair
     from clalign.correspondence import Correspondence
-    from clalign.evaluation.pairs import Problem
     from clalign.presentation.figures.gallery import Subject
 
 DEFAULT_FOLDER = Path("clalign-figures")
@@ -50,8 +50,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="draw the paper's figures",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("paths", metavar="RESULT|SOURCE TARGET", nargs="*", type=Path, help="what figures are drawn of")
     parser.add_argument("--which", metavar="NUMBERS", default="all", help="comma-separated, or 'all' (default)")
@@ -59,7 +57,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--truth", metavar="FILE", nargs="+", help="the true map: 'identity', one file, or two")
     parser.add_argument("--truth-base", type=int, choices=(0, 1), help="first vertex number in the truth")
     parser.add_argument("--mirror", metavar="FILE", help="line i: number (from 0) of the mirror image of point i")
-    parser.add_argument("--variants", metavar="NAMES", help="methods of 'clalign bench' in figures 5, 7, 8 and 9")
+    parser.add_argument("--variants", metavar="METHODS", help="methods of 'clalign bench' in figures 5, 7, 8 and 9")
     parser.add_argument("--index", metavar="K", type=int, default=7, help="eigenfunction of figure 8 (default: 7)")
     parser.add_argument(
         "--pair-index", metavar="K", type=int, help="first eigenfunction of figure 2 (default: most turned)"
@@ -67,11 +65,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--height", metavar="N", type=int, default=300, help="pixels of a panel of one shape (default: 300)"
     )
-    parser.add_argument(
-        "--set", metavar="GROUP.NAME=VALUE", action="append", default=[], dest="changes", help="change an option of all"
-    )
-    parser.add_argument("--device", metavar="SPEC", help="as of 'clalign match'")
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="seed of everything that is drawn")
+    add_option_arguments(parser, preset=False)
     parser.add_argument("--no-cache", action="store_true", help="compute everything anew and store nothing for later")
     parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
     parser.add_argument("--json", action="store_true", help="print the names of the files as one JSON document")
@@ -142,7 +136,7 @@ def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: 
 
 def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
     """Read the pair, its truth and what is matched already."""
-    from clalign.benchmark.variants import VariantRuns
+    from clalign.benchmark.methods import MethodRuns, split_list
     from clalign.errors import OptionError
     from clalign.geometry.cache import ShapeCache
     from clalign.options import Options
@@ -154,23 +148,23 @@ def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
         raise OptionError(f"name one result folder or two meshes, not {len(args.paths)} paths")
     known: Correspondence | None = None
     if not args.paths:
-        problem = _bundled()
+        pair = _bundled()
     else:
-        problem, known = _named(args)
+        pair, known = _named(args)
     changes = option_changes(args)
     if known is not None and args.changes:
         raise OptionError("--set changes nothing of a result that is there: name the two meshes instead")
     default = Options()
     comparable = known is None or dataclasses.replace(known.options, engine=default.engine, seed=0) == default
-    runs = VariantRuns(
-        problem,
+    runs = MethodRuns(
+        pair,
         changes,
         cache=None if args.no_cache else ShapeCache(),
         watch=_watch(terminal),
         known={} if known is None else {MAIN: known},
     )
-    names = tuple(name.strip() for name in (args.variants or "").split(",") if name.strip())
-    return Subject(problem, runs, names, args.index, args.pair_index, args.height, comparable)
+    names = tuple(split_list(args.variants)) if args.variants else ()
+    return Subject(pair, runs, names, args.index, args.pair_index, args.height, comparable)
 
 
 def _watch(terminal: Terminal) -> Callable[[str], Callable[[str, float, str], None]]:
@@ -181,9 +175,9 @@ def _watch(terminal: Terminal) -> Callable[[str], Callable[[str, float, str], No
     return watch
 
 
-def _bundled() -> Problem:
+def _bundled() -> LoadedPair:
+    from clalign.benchmark.pairs import LoadedPair
     from clalign.data import bundled_pair
-    from clalign.evaluation.pairs import Problem
     from clalign.evaluation.truth import read_index_truth
     from clalign.mesh.mesh import load_mesh
 
@@ -193,16 +187,16 @@ def _bundled() -> Problem:
         read_index_truth(path, source_count=source.file_count, target_count=target.file_count)
         for path in (pair.truth, pair.mirrored)
     )
-    return Problem("bundled humans", source, target, truth, mirrored)
+    return LoadedPair("bundled humans", source, target, truth, mirrored)
 
 
-def _named(args: argparse.Namespace) -> tuple[Problem, Correspondence | None]:
+def _named(args: argparse.Namespace) -> tuple[LoadedPair, Correspondence | None]:
     import numpy as np
 
+    from clalign.benchmark.pairs import LoadedPair
     from clalign.cli.evaluate import read_truth
     from clalign.correspondence import Correspondence
     from clalign.errors import ResultError
-    from clalign.evaluation.pairs import Problem
     from clalign.evaluation.truth import Truth, read_mirror
     from clalign.mesh.mesh import load_mesh
 
@@ -219,4 +213,4 @@ def _named(args: argparse.Namespace) -> tuple[Problem, Correspondence | None]:
     if args.truth:
         truth = read_truth(args.truth, args.truth_base, source, target)
         mirrored = truth.mirrored(read_mirror(args.mirror)) if args.mirror else None
-    return Problem(f"{source.name} {target.name}", source, target, truth, mirrored), known
+    return LoadedPair(f"{source.name} {target.name}", source, target, truth, mirrored), known

@@ -85,26 +85,36 @@ def options_from(args: argparse.Namespace) -> Options:
     OptionError
         An unknown preset or option, or a value outside its range.
     """
-    from clalign.errors import OptionError
     from clalign.options import Options
 
-    changes: dict[str, Any] = {
-        "seed": args.seed,
+    named = {
         "search.orientation": args.orientation,
         "search.alternatives": args.alternatives,
         "spectrum.metric": args.metric,
     }
-    if args.device == "reference":
-        changes["engine.backend"] = "reference"
-    else:
-        changes["engine.device"] = args.device
-    changes = {name: value for name, value in changes.items() if value is not None}
+    changes = {name: value for name, value in named.items() if value is not None}
+    return Options.preset(args.preset).replace({**changes, **option_changes(args)})
+
+
+def option_changes(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the changes to options that ``--seed``, ``--device`` and every ``--set`` ask for.
+
+    Raises
+    ------
+    OptionError
+        A ``--set`` without a value.
+    """
+    from clalign.errors import OptionError
+
+    changes: dict[str, Any] = {} if args.seed is None else {"seed": args.seed}
+    if args.device is not None:
+        changes["engine.backend" if args.device == "reference" else "engine.device"] = args.device
     for change in args.changes:
         name, equals, value = change.partition("=")
         if not equals:
             raise OptionError(f"--set {change}: expected GROUP.NAME=VALUE, such as alignment.weight=50")
         changes[name.strip()] = value.strip()
-    return Options.preset(args.preset).replace(changes)
+    return changes
 
 
 def run_job(
@@ -124,7 +134,7 @@ def run_job(
 
     from clalign.correspondence import FACTS_FILE
     from clalign.mesh.mesh import load_mesh
-    from clalign.storage import check_destination
+    from clalign.storage.folders import check_destination
 
     with Interrupts() as interrupts:
         source, target = load_mesh(source_path), load_mesh(target_path)

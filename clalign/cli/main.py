@@ -82,7 +82,15 @@ class _WideHelp(argparse.RawDescriptionHelpFormatter):
 
 
 class _CommandParser(argparse.ArgumentParser):
-    """Refuses what a command does not know itself; argparse leaves that to the program, whose usage says nothing."""
+    """Refuses what a command does not know itself; argparse leaves that to the program, whose usage says nothing.
+
+    Descriptions and epilogues of several lines are shown as they stand.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        whole = "\n" in f"{settings.get('description')}{settings.get('epilog') or ''}"
+        formatter = argparse.RawDescriptionHelpFormatter if whole else argparse.HelpFormatter
+        super().__init__(**{"allow_abbrev": False, "formatter_class": formatter, **settings})
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Return the namespace and no left-over words."""

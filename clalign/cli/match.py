@@ -37,8 +37,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="match two mesh files",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("source", metavar="SOURCE", type=Path, help="mesh whose vertices are mapped")
     parser.add_argument("target", metavar="TARGET", type=Path, help="mesh that they are mapped to")

@@ -19,8 +19,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "options",
         help="list every option that --set changes",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument(
         "--preset", metavar="NAME", default="default", help="preset whose values are shown (default: %(default)s)"

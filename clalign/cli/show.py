@@ -17,8 +17,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "show",
         help="look at a saved match",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("result", metavar="RESULT", type=Path, help="folder that 'clalign match' wrote")
     parser.add_argument("--page", action="store_true", help="open the page in the web browser")

@@ -41,8 +41,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="carry values, labels, landmarks, a texture or a deformation through a saved match",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("result", metavar="RESULT", type=Path, help="folder that 'clalign match' wrote")
     parser.add_argument("kind", metavar="KIND", choices=KINDS, help=", ".join(KINDS))
@@ -86,8 +84,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
-    from clalign.presentation.value_files import read_values, write_values
     from clalign.transfer import transfer
+    from clalign.transfer.value_files import read_values, write_values
 
     origin, (_, there) = args.origin, transfer.sides(correspondence, args.origin)
     whole = args.kind in ("labels", "landmarks")
@@ -102,15 +100,14 @@ def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
 
 def _texture(correspondence: Correspondence, args: argparse.Namespace) -> None:
     from clalign.errors import InputError
-    from clalign.presentation.exports import file_positions, write_textured_obj
-    from clalign.presentation.texture import carry_texture, read_texture
+    from clalign.transfer.texture import carry_texture, read_texture, write_textured_obj
     from clalign.transfer.transfer import sides
 
     if args.out.suffix.lower() != ".obj":
         raise InputError(f"{args.out}: a texture is written as .obj")
     _, there = sides(correspondence, args.origin)
     carried = carry_texture(correspondence, read_texture(args.file), origin=args.origin)
-    write_textured_obj(args.out, file_positions(there), carried)
+    write_textured_obj(args.out, there.file_positions(), carried)
 
 
 def _deformation(correspondence: Correspondence, args: argparse.Namespace) -> None:
@@ -118,13 +115,13 @@ def _deformation(correspondence: Correspondence, args: argparse.Namespace) -> No
 
     from clalign.mesh.reading import read_mesh_file
     from clalign.mesh.writing import save_mesh
-    from clalign.presentation.value_files import MESH_SUFFIXES, write_values
     from clalign.transfer.transfer import carry_deformation, sides
+    from clalign.transfer.value_files import MESH_SUFFIXES, write_values
 
     _, there = sides(correspondence, args.origin)
     moved = carry_deformation(correspondence, read_mesh_file(args.file).vertices, origin=args.origin)
     if args.out.suffix.lower() in MESH_SUFFIXES:
         positions = np.where(np.isfinite(moved), moved, there.offset)
-        save_mesh(args.out, positions, there.file_index[there.faces])
+        save_mesh(args.out, positions, there.file_faces)
     else:
         write_values(args.out, moved, there)

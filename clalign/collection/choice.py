@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clalign.collection.network import spanning_tree
 from clalign.errors import ResultError
-from clalign.evaluation.layouts import MESH_SUFFIXES, read_pairs_file
+from clalign.mesh.reading import SUFFIXES
 
 Pairing = Literal["all", "star", "tree"]
 PAIRINGS: tuple[Pairing, ...] = ("all", "star", "tree")
@@ -62,7 +62,7 @@ def listed_pairs(path: str | Path, names: Sequence[str]) -> Pairs:
     number = {name: index for index, name in enumerate(names)}
     pairs: dict[frozenset[int], tuple[int, int]] = {}
     for words in read_pairs_file(path):
-        found = [number.get(word, number.get(_plain(word), -1)) for word in words]
+        found = [number.get(word, number.get(mesh_stem(word), -1)) for word in words]
         for word, index in zip(words, found, strict=True):
             if index < 0:
                 raise ResultError(f"{path}: there is no mesh {word!r} in the collection")
@@ -72,5 +72,30 @@ def listed_pairs(path: str | Path, names: Sequence[str]) -> Pairs:
     return list(pairs.values())
 
 
-def _plain(word: str) -> str:
-    return Path(word).stem if Path(word).suffix.lower() in MESH_SUFFIXES else word
+def read_pairs_file(path: str | Path) -> list[tuple[str, str]]:
+    """Read a pairs file: source and target a line, ``#`` starts a comment.
+
+    Raises
+    ------
+    ResultError
+        The file cannot be read, or a line is not two names.
+    """
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ResultError(f"{path}: cannot read the pairs ({error})") from error
+    names = []
+    for number, line in enumerate(lines, start=1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if words and len(words) != 2:
+            raise ResultError(f"{path}, line {number}: expected a source and a target, got {line.strip()!r}")
+        if words:
+            names.append((words[0], words[1]))
+    if not names:
+        raise ResultError(f"{path}: no pair in it")
+    return names
+
+
+def mesh_stem(word: str) -> str:
+    """Return the name of a mesh that is given by its name or by its file."""
+    return Path(word).stem if Path(word).suffix.lower() in SUFFIXES else word

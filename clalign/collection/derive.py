@@ -16,7 +16,6 @@ from clalign.geometry.shape import Shape, equally_smoothed
 from clalign.matching.loop import Clock
 from clalign.matching.result import local_distortion
 from clalign.matching.stages import refined_maps, steps_before_alignment
-from clalign.mesh.mesh import Mesh
 from clalign.options import Options
 from clalign.refinement.zoomout import BoundSpectra, two_way_steps
 
@@ -48,8 +47,8 @@ def derived_correspondence(
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
-        target_of_source=_in_file_numbers(source.mesh, target.mesh, maps.target_of_source),
-        source_of_target=_in_file_numbers(target.mesh, source.mesh, maps.source_of_target),
+        target_of_source=source.mesh.map_to_file(target.mesh, maps.target_of_source),
+        source_of_target=target.mesh.map_to_file(source.mesh, maps.source_of_target),
         functional_map=functional,
         rotation=start.rotation,
         source_basis=source.basis.head(max(len(functional), options.spectrum.basis)),
@@ -68,9 +67,3 @@ def derived_correspondence(
         options=options,
         versions={"clalign": clalign.__version__, "numpy": np.__version__},
     )
-
-
-def _in_file_numbers(here: Mesh, there: Mesh, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
-    mapped = np.full(here.file_count, -1, dtype=np.int64)
-    mapped[here.file_index] = there.file_index[chosen]
-    return mapped

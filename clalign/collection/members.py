@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clalign.errors import ResultError
-from clalign.evaluation.layouts import MESH_SUFFIXES
+from clalign.mesh.reading import SUFFIXES
 
 DIGEST_LETTERS = 16
 
@@ -57,14 +57,14 @@ def read_members(shapes: str | Path | Sequence[str | Path]) -> tuple[Member, ...
 
 
 def _folder_files(folder: Path) -> list[Path]:
-    files = [path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES and path.is_file()]
+    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
     if not files:
-        raise ResultError(f"{folder}: no mesh file in this folder ({', '.join(MESH_SUFFIXES)})")
+        raise ResultError(f"{folder}: no mesh file in this folder ({', '.join(SUFFIXES)})")
     return sorted(files, key=lambda path: (_natural(path.stem), path.suffix))
 
 
 def _listed_files(listing: Path) -> list[Path]:
-    if listing.suffix.lower() in MESH_SUFFIXES:
+    if listing.suffix.lower() in SUFFIXES:
         raise ResultError(f"{listing}: is one mesh file; give a folder of meshes or a text file that lists them")
     try:
         lines = listing.read_text(encoding="utf-8").splitlines()

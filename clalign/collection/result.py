@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.collection.network import Network
-from clalign.collection.rows import PairRow, ShapeRow, read_rows
+from clalign.collection.rows import PairRow, ShapeRow, pair_rows, shape_rows
 from clalign.collection.store import PairMaps, Store
 from clalign.errors import ResultError
 
@@ -41,7 +41,7 @@ class Collection:
         """
         store = Store(folder)
         store.settings()
-        return Collection(store, tuple(read_rows(ShapeRow, store.folder)), tuple(read_rows(PairRow, store.folder)))
+        return Collection(store, tuple(shape_rows(store.folder).read()), tuple(pair_rows(store.folder).read()))
 
     @property
     def folder(self) -> Path:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import os
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TypeVar, get_type_hints
+from typing import Any, Literal
 
-from clalign.errors import ResultError
+from clalign.storage.rows import RowFile
+
+PAIRS_FILE = "pairs.csv"
+SHAPES_FILE = "shapes.csv"
 
 Kind = Literal["direct", "repaired", "derived"]
 Status = Literal["ok", "failed", "skipped"]
@@ -62,8 +61,6 @@ class PairRow:
     device: str = ""
     worker: str = ""
 
-    FILE: ClassVar[str] = "pairs.csv"
-
     @property
     def ok(self) -> bool:
         """Whether there is a map."""
@@ -84,15 +81,10 @@ class ShapeRow:
     notes: str = ""
     eigenvalues: tuple[float, ...] = field(default=(), metadata={"stored": False})
 
-    FILE: ClassVar[str] = "shapes.csv"
-
     @property
     def ok(self) -> bool:
         """Whether the shape could be prepared."""
         return self.status == "ok"
-
-
-Row = TypeVar("Row", PairRow, ShapeRow)
 
 
 def plain(row: PairRow) -> dict[str, Any]:
@@ -100,77 +92,11 @@ def plain(row: PairRow) -> dict[str, Any]:
     return asdict(row)
 
 
-def read_rows(kind: type[Row], folder: Path) -> list[Row]:
-    """Return the complete rows of an index file, the last one of each pair or shape; none without a file.
-
-    Raises
-    ------
-    ResultError
-        The file is of another kind.
-    """
-    path = folder / kind.FILE
-    if not path.is_file() or not path.stat().st_size:
-        return []
-    # Line by line, as no cell holds a line break: a line that was cut inside quotes must not swallow the next one.
-    lines = [next(csv.reader([line])) for line in path.read_text(encoding="utf-8").split("\n") if line]
-    if lines[0] != _columns(kind):
-        raise ResultError(f"{path}: was not written by this version of clalign; choose another --out")
-    return [_row(kind, cells) for cells in lines[1:] if len(cells) == len(lines[0])]
+def pair_rows(folder: Path) -> RowFile[PairRow]:
+    """Return the index of pairs in the folder of a collection."""
+    return RowFile(folder / PAIRS_FILE, PairRow)
 
 
-def append_row(row: PairRow, folder: Path) -> None:
-    """Add a row to the index and force it to the disk."""
-    path = folder / row.FILE
-    text = _text([] if path.is_file() and path.stat().st_size else [_columns(type(row))], [row])
-    with path.open("a+b") as stream:
-        # A line that a kill cut short must not swallow the next one.
-        if stream.tell():
-            stream.seek(-1, os.SEEK_END)
-            text = text if stream.read(1) == b"\n" else "\n" + text
-        stream.write(text.encode())
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def write_rows(kind: type[Row], rows: Sequence[Row], folder: Path) -> None:
-    """Write the whole index anew; the earlier one is replaced at once."""
-    path = folder / kind.FILE
-    unfinished = folder / f".{kind.FILE}.{os.getpid()}"
-    with unfinished.open("wb") as stream:
-        stream.write(_text([_columns(kind)], rows).encode())
-        stream.flush()
-        os.fsync(stream.fileno())
-    os.replace(unfinished, path)
-
-
-def _columns(kind: type[Any]) -> list[str]:
-    return [item.name for item in fields(kind) if item.metadata.get("stored", True)]
-
-
-def _text(head: Iterable[Sequence[str]], rows: Sequence[PairRow] | Sequence[ShapeRow]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows(head)
-    for row in rows:
-        writer.writerow([_cell(getattr(row, name)) for name in _columns(type(row))])
-    return text.getvalue()
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    # A line break inside a cell is good CSV, but a cut line could then not be told from a whole one.
-    return f"{value:.9g}" if isinstance(value, float) else " ".join(str(value).split())
-
-
-def _row(kind: type[Row], cells: Sequence[str]) -> Row:
-    hints = get_type_hints(kind)
-    values: dict[str, Any] = {}
-    for name, cell in zip(_columns(kind), cells, strict=True):
-        if hints[name] == float | None:
-            values[name] = float(cell) if cell else None
-        elif hints[name] == int | None:
-            values[name] = int(cell) if cell else None
-        else:
-            values[name] = cell
-    return kind(**values)
+def shape_rows(folder: Path) -> RowFile[ShapeRow]:
+    """Return the index of shapes in the folder of a collection."""
+    return RowFile(folder / SHAPES_FILE, ShapeRow)

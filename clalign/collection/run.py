@@ -26,7 +26,7 @@ from clalign.collection.consistency import WORSE, WRONG, Verdict, judged, missin
 from clalign.collection.forecast import check_disk, forecast, workers_that_fit
 from clalign.collection.members import Member, read_members
 from clalign.collection.result import Collection
-from clalign.collection.rows import PairRow, ShapeRow, append_row, read_rows, write_rows
+from clalign.collection.rows import PairRow, ShapeRow, pair_rows, shape_rows
 from clalign.collection.session import PageWriter, Settings
 from clalign.collection.store import CACHE_FOLDER, Store, merged, pair_key
 from clalign.collection.work import derive_members, explained, match_members, prepare_member
@@ -145,7 +145,7 @@ class Job:
     def __post_init__(self) -> None:
         self.store: Store = self.settings.store
         self.by_name = {member.name: member for member in self.members}
-        self.shapes = {row.name: row for row in read_rows(ShapeRow, self.store.folder) if row.name in self.by_name}
+        self.shapes = {row.name: row for row in shape_rows(self.store.folder).read() if row.name in self.by_name}
 
     def match(self, client: Client, pairing: str, listed: Pairs | None) -> None:
         """Prepare shapes and match pairs, each as soon as its shapes are there; what is done already is left alone."""
@@ -172,7 +172,7 @@ class Job:
             futures.pop(task.name).release()
             row = self._pair_row(task, value)
             self.direct[row.source, row.target] = row
-            append_row(row, self.store.folder)
+            pair_rows(self.store.folder).append(row)
             self.report("pairs", *estimate.step(row))
         self.final.update(self.direct)
         for future in futures.values():
@@ -284,8 +284,8 @@ class Job:
         place = {member.name: index for index, member in enumerate(self.members)}
         rows = sorted(self.final.values(), key=lambda row: (place[row.source], place[row.target]))
         shapes = [self.shapes[name] for name in place if name in self.shapes]
-        write_rows(PairRow, rows, self.store.folder)
-        write_rows(ShapeRow, shapes, self.store.folder)
+        pair_rows(self.store.folder).write(rows)
+        shape_rows(self.store.folder).write(shapes)
         return Collection(self.store, tuple(shapes), tuple(rows))
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -17,20 +15,14 @@ from clalign.collection.store import Store
 from clalign.correspondence import Correspondence
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
-from clalign.geometry.cache import ShapeCache, default_folder
+from clalign.geometry.cache import ShapeCache
 from clalign.geometry.shape import Shape, equally_smoothed, prepare
 from clalign.mesh.mesh import load_mesh
 from clalign.options import Options
-
-try:
-    import fcntl
-except ImportError:  # Windows: every process compiles its kernels anew
-    fcntl = None  # type: ignore[assignment]
+from clalign.storage.files import claim_kernel_folder
 
 HELD_SHAPES = 4
 """Prepared shapes that a worker keeps in memory: those of its pair, and two that a next pair may need."""
-
-KERNEL_VARIABLE = "POCL_CACHE_DIR"
 
 PageWriter = Callable[[Correspondence, Path], None]
 
@@ -99,8 +91,6 @@ class Session:
 
 
 _threads = threading.local()
-_kernel_lock: int | None = None
-_claim = threading.Lock()
 
 
 def session(settings: Settings) -> Session:
@@ -114,35 +104,3 @@ def session(settings: Settings) -> Session:
         held = Session(settings)
         _threads.session = held
     return held
-
-
-def claim_kernel_folder() -> None:
-    """Give this process a folder of compiled kernels that no other process writes to, and keep it until the end.
-
-    PoCL's breaks when several processes write to it. Folders are numbered and used again by later processes, so that
-    kernels are compiled once a worker, not once a run. Works only before the driver is loaded.
-    """
-    global _kernel_lock
-    with _claim:
-        if _kernel_lock is not None:
-            return
-        named = os.environ.get(KERNEL_VARIABLE)
-        root = Path(named) if named else default_folder() / "kernels"
-        if fcntl is None:
-            os.environ[KERNEL_VARIABLE] = tempfile.mkdtemp(prefix="clalign-kernels-")
-            _kernel_lock = -1
-            return
-        number = 0
-        while True:
-            folder = root / f"worker-{number}"
-            folder.mkdir(parents=True, exist_ok=True)
-            handle = os.open(folder, os.O_RDONLY)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                os.close(handle)
-                number += 1
-                continue
-            _kernel_lock = handle
-            os.environ[KERNEL_VARIABLE] = str(folder)
-            return

@@ -25,7 +25,8 @@ from clalign.collection.network import Network
 from clalign.collection.rows import PairRow, plain
 from clalign.errors import OptionError, ResultError
 from clalign.options import Options
-from clalign.storage import atomic_folder, recover
+from clalign.storage.files import replaced_file
+from clalign.storage.folders import atomic_folder, recover
 
 try:
     import fcntl
@@ -99,7 +100,8 @@ class Store:
         elif held:
             raise ResultError(f"{self.folder}: holds files that are not a collection; choose another --out")
         document = {"format": FORMAT, "options": options.as_dict(), **settings}
-        _replace_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+        with replaced_file(path) as stream:
+            stream.write((json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
 
     def _check_options(self, options: Options) -> None:
         before = self.settings()["options"]
@@ -225,8 +227,7 @@ class Store:
 
     def write_network(self, names: Sequence[str], network: Network) -> None:
         """Write ``network.npz``."""
-        unfinished = self.folder / f".{NETWORK_FILE}.{os.getpid()}"
-        with unfinished.open("wb") as stream:
+        with replaced_file(self.folder / NETWORK_FILE) as stream:
             np.savez(
                 stream,
                 names=np.array(names),
@@ -235,7 +236,6 @@ class Store:
                 residuals=network.residuals,
                 weights=network.weights,
             )
-        os.replace(unfinished, self.folder / NETWORK_FILE)
 
     def read_network(self) -> tuple[list[str], Network]:
         """Return the names of the shapes and their network.
@@ -259,9 +259,3 @@ def merged(direct: PairRow, repaired: PairRow) -> PairRow:
     seconds = (direct.seconds or 0.0) + (repaired.seconds or 0.0)
     stages = ";".join(part for part in (direct.stages, repaired.stages) if part)
     return replace(direct, kind="repaired", distortion=repaired.distortion, seconds=seconds, stages=stages)
-
-
-def _replace_text(path: Path, text: str) -> None:
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    unfinished.write_text(text, encoding="utf-8")
-    os.replace(unfinished, path)

@@ -22,12 +22,10 @@ from clalign.collection.session import Settings, session
 from clalign.collection.store import RESULT_FOLDER, PairMaps, Room, pair_key
 from clalign.correspondence import Correspondence, finite_or_none
 from clalign.errors import ClalignError
-from clalign.evaluation.numbering import compact_of_file
 from clalign.maps.functional_maps import two_way_functional_map
 from clalign.maps.point_maps import PointMaps
 from clalign.matching.loop import Clock
 from clalign.matching.pair import match_shapes
-from clalign.mesh.mesh import Mesh
 
 try:
     import resource
@@ -147,15 +145,11 @@ def pair_maps(result: Correspondence, latent: int) -> PairMaps:
     """Return what is kept of a result: both maps, and C in the first `latent` LBO functions."""
     source, target = result.source, result.target
     maps = PointMaps(
-        _compact(result.target_of_source, source, target), _compact(result.source_of_target, target, source)
+        source.map_from_file(target, result.target_of_source), target.map_from_file(source, result.source_of_target)
     )
     size = min(latent, result.source_basis.count, result.target_basis.count)
     functional = two_way_functional_map(result.source_basis, result.target_basis, maps, size)
     return PairMaps(result.target_of_source.astype(np.int32), result.source_of_target.astype(np.int32), functional)
-
-
-def _compact(file_map: NDArray[np.int64], here: Mesh, there: Mesh) -> NDArray[np.int64]:
-    return np.asarray(compact_of_file(there)[file_map[here.file_index]])
 
 
 def _row(source: Member, target: Member, kind: Kind, result: Correspondence) -> PairRow:

@@ -1,1 +1,1 @@
-"""Measuring maps: truth files, errors, data-set layouts, benchmark runs and their tables."""
+"""Measuring maps: truth, errors, distances on the target, coverage and smoothness, and alignment of eigenfunctions."""

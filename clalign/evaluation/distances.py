@@ -1,13 +1,18 @@
-"""Distances on the target that errors are measured in."""
+"""Distances on the target that errors are measured in, and those of another shape in their place for a study."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
+from clalign.evaluation.truth import Truth, true_maps
+from clalign.geometry.geodesics import DistanceFactors, Geodesics
 from clalign.geometry.heat import HeatMethod
+from clalign.geometry.shape import Shape
 from clalign.mesh.mesh import Mesh
 
 DistanceMethod = Literal["heat", "bounded"]
@@ -82,6 +87,31 @@ class Distances:
             gap = np.minimum(gap, row)
             vertex = int(gap.argmax())
         return diameter
+
+
+def with_distances_of(target: Shape, source: Shape, truth: Truth) -> Shape:
+    """Return the target with every geodesic distance replaced by that between the true points of the source.
+
+    D_Y(i, j) becomes D_X(π(i), π(j)) for π the truth from the target to the source. Where the truth does not name a
+    target vertex, π is that of the nearest one that it names.
+
+    Raises
+    ------
+    ResultError
+        The truth has no point on both surfaces.
+    """
+    maps = true_maps(source.mesh, target.mesh, truth)
+    # With Q R the decomposition of the carried factor in the target's areas, U T Uᵀ = Q (R T Rᵀ) Qᵀ.
+    root = np.sqrt(target.mass)[:, None]
+    left, triangle = scipy.linalg.qr(source.factors.left[maps.source_of_target] * root, mode="economic")
+    core = triangle @ source.factors.core @ triangle.T
+    geodesics = Geodesics(
+        samples=maps.target_of_source[source.geodesics.samples],
+        distances=source.geodesics.distances,
+        rows=source.geodesics.rows[:, maps.source_of_target],
+        weights=source.geodesics.weights,
+    )
+    return replace(target, geodesics=geodesics, factors=DistanceFactors(left=left / root, core=0.5 * (core + core.T)))
 
 
 def _grouped(vertices: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from clalign.errors import ResultError
 from clalign.evaluation.distances import METHODS, DistanceMethod, Distances
-from clalign.evaluation.numbering import compact_of_file
 from clalign.evaluation.quality import MapQuality, map_quality
 from clalign.evaluation.truth import Truth
 from clalign.mesh.mesh import Mesh
@@ -171,7 +170,7 @@ def _statistics(errors: NDArray[np.float64]) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _MeasuredMap:
     """The map and the measured truth in compact vertex numbers (those of `Mesh.vertices`)."""
 
     target_of_source: NDArray[np.int64]
@@ -221,25 +220,25 @@ def evaluate(
     if method not in METHODS:
         raise ResultError(f"unknown distance method {method!r}; there are {', '.join(METHODS)}")
     index, source, target, barycentric = _unpack(correspondence, source, target, barycentric)
-    problem = _compact_problem(index, source, target, truth, mirrored, _chosen_lines(truth, points, seed))
+    measured = _measured_map(index, source, target, truth, mirrored, _chosen_lines(truth, points, seed))
     distances = Distances(target, method)
-    matches = problem.target_of_source[problem.source_points]
-    errors, mirrored_errors = distances.from_matches(matches, problem.target_points, problem.mirrored_points)
+    matches = measured.target_of_source[measured.source_points]
+    errors, mirrored_errors = distances.from_matches(matches, measured.target_points, measured.mirrored_points)
     subvertex_errors = None
     if barycentric is not None:
-        faces, weights = _barycentric_at(source.file_index[problem.source_points], *barycentric, target)
-        subvertex_errors = distances.to_face_points(problem.target_points, target.faces[faces], weights)
+        faces, weights = _barycentric_at(source.file_index[measured.source_points], *barycentric, target)
+        subvertex_errors = distances.to_face_points(measured.target_points, target.faces[faces], weights)
     return Evaluation(
         name=name if name is not None else f"{source.name} {target.name}",
-        points=problem.points,
+        points=measured.points,
         errors=errors,
         mirrored_errors=mirrored_errors,
         subvertex_errors=subvertex_errors,
-        exact=float(np.mean(matches == problem.target_points)),
+        exact=float(np.mean(matches == measured.target_points)),
         diameter=distances.diameter(),
-        unmatched=problem.unmatched,
-        skipped=problem.skipped,
-        quality=map_quality(source, target, problem.target_of_source),
+        unmatched=measured.unmatched,
+        skipped=measured.skipped,
+        quality=map_quality(source, target, measured.target_of_source),
         method=METHODS[method],
     )
 
@@ -291,34 +290,33 @@ def _chosen_lines(truth: Truth, points: int | ArrayLike | None, seed: int) -> ND
     return lines
 
 
-def _compact_problem(
+def _measured_map(
     index: NDArray[np.int64],
     source: Mesh,
     target: Mesh,
     truth: Truth,
     mirrored: Truth | None,
     lines: NDArray[np.int64],
-) -> _Problem:
+) -> _MeasuredMap:
     truth.check_against(source.file_count, target.file_count)
     if mirrored is not None:
         mirrored.check_against(source.file_count, target.file_count)
         if mirrored.count != truth.count:
             raise ResultError(f"the mirrored truth has {mirrored.count} lines and the truth {truth.count}")
-    compact_source, compact_target = compact_of_file(source), compact_of_file(target)
-    matched = index[source.file_index]
-    target_of_source = np.where(matched >= 0, compact_target[matched], -1)
-    off = np.flatnonzero((matched >= 0) & (target_of_source < 0))
+    source_vertex, target_vertex = source.vertex_of_file(), target.vertex_of_file()
+    target_of_source = source.map_from_file(target, index)
+    off = np.flatnonzero((source.from_file(index) >= 0) & (target_of_source < 0))
     if off.size:
         raise ResultError(f"source vertex {source.file_index[off[0]]} is matched to a target vertex that is on no face")
-    ends = [compact_source[truth.source_points[lines]], compact_target[truth.target_points[lines]]]
+    ends = [source_vertex[truth.source_points[lines]], target_vertex[truth.target_points[lines]]]
     if mirrored is not None:
-        ends.append(compact_target[mirrored.target_points[lines]])
+        ends.append(target_vertex[mirrored.target_points[lines]])
     on_surface = np.logical_and.reduce([end >= 0 for end in ends])
     has_match = on_surface & (target_of_source[ends[0]] >= 0)
     if not has_match.any():
         raise ResultError("no point of the truth is left to measure: the map has no match at any of them")
     ends = [end[has_match] for end in ends]
-    return _Problem(
+    return _MeasuredMap(
         target_of_source,
         lines[has_match],
         ends[0],

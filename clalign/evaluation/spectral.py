@@ -1,6 +1,6 @@
 """How well eigenfunctions are aligned: err(k) of Fig. 9, the true C̃ of Fig. 3 and rotations inside pairs of Fig. 2.
 
-All functions take a true map between the vertices of the surfaces (`true_maps`) and work in double precision.
+All functions take a true map between the vertices of the surfaces (`truth.true_maps`) and work in double precision.
 """
 
 from __future__ import annotations
@@ -11,23 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
-from clalign.evaluation.isometric import total_maps
-from clalign.evaluation.truth import Truth
 from clalign.geometry.spectra import Spectrum, fix_signs
-
-
-@dataclass(frozen=True)
-class TrueMaps:
-    """The truth in the vertex order of the meshes, filled in where it names no vertex.
-
-    Attributes
-    ----------
-    target_of_source : (n_x,) int64.
-    source_of_target : (n_y,) int64.
-    """
-
-    target_of_source: NDArray[np.int64]
-    source_of_target: NDArray[np.int64]
+from clalign.maps.functional_maps import PointMaps
 
 
 @dataclass(frozen=True)
@@ -65,18 +50,6 @@ class PairRotation:
     kept: float
 
 
-def true_maps(correspondence: Correspondence, truth: Truth) -> TrueMaps:
-    """Return the truth of a match in the vertex order of its meshes.
-
-    Raises
-    ------
-    ResultError
-        The truth does not fit the meshes, or has no point on both.
-    """
-    source_of_target, target_of_source = total_maps(correspondence.source, correspondence.target, truth)
-    return TrueMaps(target_of_source, source_of_target)
-
-
 def as_computed(spectrum: Spectrum) -> NDArray[np.float64]:
     """Return the (n, d) eigenfunctions with the solver's signs, whatever signs a match has folded into them."""
     return fix_signs(spectrum.functions, spectrum.mass)
@@ -105,8 +78,8 @@ def alignment_errors(
     return np.asarray(difference / np.maximum(np.sqrt(mass @ np.square(carried)), np.finfo(np.float64).tiny))
 
 
-def spectral_errors(correspondence: Correspondence, maps: TrueMaps) -> SpectralErrors:
-    """Return err(k) of a match before and after alignment."""
+def spectral_errors(correspondence: Correspondence, maps: PointMaps) -> SpectralErrors:
+    """Return err(k) of a match before and after alignment, by true maps between its meshes."""
     source, target = as_computed(correspondence.source_descriptors), correspondence.target_descriptors.functions
     count = len(correspondence.rotation)
     source, target = source[:, :count], target[:, :count]

@@ -8,8 +8,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from clalign.errors import ResultError
+from clalign.maps.functional_maps import PointMaps
+from clalign.mesh.mesh import Mesh
 
 Base = Literal[0, 1]
 
@@ -110,6 +113,37 @@ def _vertex_numbers(points: ArrayLike, side: str) -> NDArray[np.int64]:
     if bad.size:
         raise ResultError(f"line {bad[0] + 1} of the truth names {side} vertex {numbers[bad[0]]}: below zero")
     return numbers
+
+
+def true_maps(source: Mesh, target: Mesh, truth: Truth) -> PointMaps:
+    """Return the truth in the vertex order of the meshes, both ways.
+
+    Vertices that the truth does not name take what their nearest named neighbour in space has.
+
+    Raises
+    ------
+    ResultError
+        The truth does not fit the meshes, or has no point on both surfaces.
+    """
+    truth.check_against(source.file_count, target.file_count)
+    source_points = source.vertex_of_file()[truth.source_points]
+    target_points = target.vertex_of_file()[truth.target_points]
+    known = (source_points >= 0) & (target_points >= 0)
+    if not known.any():
+        raise ResultError(f"the truth has no point on both {source.name} and {target.name}")
+    source_points, target_points = source_points[known], target_points[known]
+    return PointMaps(
+        target_of_source=_filled(source.vertices, source_points, target_points),
+        source_of_target=_filled(target.vertices, target_points, source_points),
+    )
+
+
+def _filled(vertices: NDArray[np.float64], named: NDArray[np.int64], values: NDArray[np.int64]) -> NDArray[np.int64]:
+    found = np.full(len(vertices), -1, dtype=np.int64)
+    found[named] = values
+    known = np.flatnonzero(found >= 0)
+    nearest = cKDTree(vertices[known]).query(vertices)[1]
+    return found[known[nearest]]
 
 
 def read_numbers(path: str | Path) -> NDArray[np.int64]:

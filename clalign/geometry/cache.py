@@ -12,15 +12,16 @@ import hashlib
 import json
 import logging
 import os
-import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from clalign.storage.files import cache_folder, replaced_file
 
 logger = logging.getLogger(__name__)
 
@@ -61,27 +62,17 @@ def content_key(kind: str, arrays: Mapping[str, NDArray[Any]], values: Mapping[s
     return f"{kind}-{digest.hexdigest()[:KEY_DIGITS]}"
 
 
-def default_folder() -> Path:
-    """Return the folder named by the environment variable ``CLALIGN_CACHE``, or the user's cache folder."""
-    named = os.environ.get("CLALIGN_CACHE", "")
-    if named:
-        return Path(named).expanduser()
-    import platformdirs
-
-    return Path(platformdirs.user_cache_dir("clalign"))
-
-
 class ShapeCache:
     """A folder of arrays by key, of limited size; entries that were not used for longest go first.
 
     Parameters
     ----------
-    folder : where the entries are; None for `default_folder`. It is made when the first entry is stored.
+    folder : where the entries are; None for `storage.cache_folder`. It is made when the first entry is stored.
     limit_bytes : total size above which entries are removed. An entry larger than that is not stored.
     """
 
     def __init__(self, folder: str | Path | None = None, limit_bytes: int = DEFAULT_LIMIT) -> None:
-        self.folder = default_folder() if folder is None else Path(folder)
+        self.folder = cache_folder() if folder is None else Path(folder)
         self.limit_bytes = limit_bytes
 
     def get(self, key: str) -> dict[str, NDArray[Any]] | None:
@@ -115,7 +106,7 @@ class ShapeCache:
             return False
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            with self._replacing(self._path(key)) as stream:
+            with replaced_file(self._path(key)) as stream:
                 np.savez(stream, **contents)
             self._shrink()
         except OSError as error:
@@ -151,19 +142,6 @@ class ShapeCache:
             with contextlib.suppress(OSError):
                 found.append((path, path.stat()))
         return found
-
-    @contextlib.contextmanager
-    def _replacing(self, path: Path) -> Iterator[Any]:
-        """Open a temporary file that takes the place of `path` when the block ends well."""
-        descriptor, name = tempfile.mkstemp(dir=self.folder, prefix=path.stem, suffix=".part")
-        try:
-            with os.fdopen(descriptor, "wb") as stream:
-                yield stream
-            os.replace(name, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(name)
-            raise
 
     def _shrink(self) -> None:
         """Remove the entries used longest ago until the limit holds, and files that were left unfinished.

@@ -1,4 +1,4 @@
-"""The lowest eigenpairs of a sparse symmetric matrix by block Lanczos on slices of the spectrum.
+"""The lowest eigenpairs of a sparse symmetric matrix by block Lanczos and spectrum slicing.
 
 The wanted part of the spectrum is cut into slices of about `SLICE` pairs. In the middle of each a shift σ is placed,
 S − σI is factorised once, and block Lanczos on its inverse finds the pairs nearest to σ on both sides. A slice needs a
@@ -54,10 +54,10 @@ PLANNING_TOLERANCES = (0.05, 0.1, 0.1, 0.2, 0.2, 0.4, 0.4, 0.4)
 Array = NDArray[np.float64]
 
 
-class _Lane:
+class _Worker:
     """A thread, and the factors that it has made and still holds.
 
-    `stop`, which all lanes share, ends at its next block whatever slice is computed.
+    `stop`, which all workers share, ends at its next block whatever slice is computed.
     """
 
     def __init__(self, thread: ThreadPoolExecutor, stop: threading.Event) -> None:
@@ -91,21 +91,21 @@ class _Lane:
 
 
 @contextlib.contextmanager
-def _lanes(count: int) -> Iterator[list[_Lane]]:
+def _workers(count: int) -> Iterator[list[_Worker]]:
     """Yield threads whose factors are freed at the end; if the block fails, slices that are computed are given up.
 
     After Ctrl-C nothing here waits for them, but the interpreter would at its exit, for as long as they take.
     """
     stop = threading.Event()
     with contextlib.ExitStack() as stack:
-        lanes = [_Lane(stack.enter_context(thread_pool(1)), stop) for _ in range(count)]
+        workers = [_Worker(stack.enter_context(thread_pool(1)), stop) for _ in range(count)]
 
         def free() -> None:
-            for lane in lanes:
-                lane.keep(())
+            for worker in workers:
+                worker.keep(())
 
         try:
-            yield lanes
+            yield workers
         except BaseException as error:
             stop.set()
             if isinstance(error, Exception):
@@ -153,12 +153,12 @@ def lowest_pairs(matrix: sparse.csc_matrix, count: int, unit: float, threads: in
     # Sorted now: scipy would otherwise sort it in place, when first asked to, in several threads at once.
     matrix.sum_duplicates()
     matrix.sort_indices()
-    with _lanes(max(min(threads, -(-count // SLICE)), 1)) as lanes:
-        factors = _plan(matrix, count, unit, lanes)
+    with _workers(max(min(threads, -(-count // SLICE)), 1)) as workers:
+        factors = _plan(matrix, count, unit, workers)
         borders = [0] + [(left.below + right.below) // 2 for left, right in itertools.pairwise(factors)]
         ends = [min(border + OVERLAP, count) for border in borders[1:]] + [count]
         jobs = [
-            lanes[number % len(lanes)].slice(matrix, factor, max(border - OVERLAP, 0), end, unit)
+            workers[number % len(workers)].slice(matrix, factor, max(border - OVERLAP, 0), end, unit)
             for number, (factor, border, end) in enumerate(zip(factors, borders, ends, strict=True))
         ]
         values, rows = _joined([job.result() for job in jobs], unit)
@@ -168,8 +168,8 @@ def lowest_pairs(matrix: sparse.csc_matrix, count: int, unit: float, threads: in
     return values, vectors
 
 
-def _plan(matrix: sparse.csc_matrix, count: int, unit: float, lanes: Sequence[_Lane]) -> list[Factors]:
-    """Place a shift near the middle of each slice; slice i is factorised in lane i modulo the number of lanes.
+def _plan(matrix: sparse.csc_matrix, count: int, unit: float, workers: Sequence[_Worker]) -> list[Factors]:
+    """Place a shift near the middle of each slice; slice i is factorised in worker i modulo the number of workers.
 
     The number of eigenvalues below a value is taken as value / unit where nothing is known, and interpolated between
     the counts that are known.
@@ -188,7 +188,8 @@ def _plan(matrix: sparse.csc_matrix, count: int, unit: float, lanes: Sequence[_L
             float(np.interp(targets[index], counts, shifts)) + more for index, more in zip(missing, beyond, strict=True)
         ]
         made = [
-            lanes[index % len(lanes)].factorise(matrix, shift) for index, shift in zip(missing, guesses, strict=True)
+            workers[index % len(workers)].factorise(matrix, shift)
+            for index, shift in zip(missing, guesses, strict=True)
         ]
         for index, job in zip(missing, made, strict=True):
             factor = job.result()
@@ -198,8 +199,8 @@ def _plan(matrix: sparse.csc_matrix, count: int, unit: float, lanes: Sequence[_L
             counts.append(float(factor.below))
         shifts.sort()
         counts.sort()
-        for lane in lanes:
-            lane.keep(list(placed.values()))
+        for worker in workers:
+            worker.keep(list(placed.values()))
     if len(placed) < slices:
         raise ConvergenceError(f"only {len(placed)} of {slices} shifts into the spectrum could be placed")
     return [placed[index] for index in sorted(placed)]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from clalign.errors import InputError
 from clalign.geometry.factors import factorise
+from clalign.mesh.topology import boundary_vertices, vertex_areas, vertex_normals
 from clalign.options import SpectrumOptions
 
 if TYPE_CHECKING:
@@ -68,27 +69,8 @@ def lumped_mass(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDAr
     -------
     (n,) float64, positive, summing to the surface area.
     """
-    areas = face_areas(vertices, faces) / 3.0
-    mass = np.bincount(faces.ravel(), weights=np.repeat(areas, 3), minlength=len(vertices))
+    mass = vertex_areas(vertices, faces)
     return np.maximum(mass, SMALLEST_MASS * mass.mean())
-
-
-def face_areas(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return the (m,) areas of the faces."""
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return 0.5 * np.linalg.norm(normals, axis=1)
-
-
-def boundary_vertices(faces: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
-    """Return the (count,) mask of vertices on an edge that belongs to one face only."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
-    keys, uses = np.unique(edges[:, 0] * count + edges[:, 1], return_counts=True)
-    single = keys[uses == 1]
-    mask = np.zeros(count, dtype=bool)
-    mask[single // count] = True
-    mask[single % count] = True
-    return mask
 
 
 def gaussian_curvature(
@@ -113,17 +95,6 @@ def gaussian_curvature(
     around = np.bincount(faces.ravel(), weights=angles.ravel(), minlength=len(vertices))
     full = np.where(boundary_vertices(faces, len(vertices)), np.pi, 2.0 * np.pi)
     return (full - around) / mass
-
-
-def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return (n, 3) unit normals, the area-weighted means over the faces around each vertex (zero where undefined)."""
-    corners = vertices[faces]
-    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(face_normals[:, axis], 3), len(vertices)) for axis in range(3)], axis=1
-    )
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
 
 
 def mean_curvature(

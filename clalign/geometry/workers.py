@@ -34,7 +34,7 @@ def thread_pool(count: int) -> Iterator[ThreadPoolExecutor]:
     """Yield a pool of threads; if the block fails, what was not begun is dropped and what was is not waited for here.
 
     The interpreter does wait at its exit for threads that still run. So that a program ends soon after Ctrl-C, whoever
-    gives a thread long work also has a way to stop it, as the lanes of `lanczos` and `HeatProcess` do.
+    gives a thread long work also has a way to stop it, as the workers of `lanczos` and `HeatProcess` do.
     """
     pool = ThreadPoolExecutor(count)
     try:

@@ -14,11 +14,8 @@ from clalign.correspondence import Alternative, Correspondence
 from clalign.engine.backend import Backend
 from clalign.errors import ClalignWarning, ConfidenceWarning
 from clalign.geometry.shape import Shape
-from clalign.maps.point_maps import PointMaps
 from clalign.matching.state import MatchState, required
-from clalign.mesh.mesh import Mesh
 from clalign.options import Options
-from clalign.refinement.precise import SurfacePoints
 from clalign.rules import JudgementRules
 
 PACKAGE = __name__.partition(".")[0]
@@ -39,14 +36,13 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
     maps, aligned, functional_map = required(state.maps), required(state.aligned), required(state.functional_map)
     confidence = float("nan") if found is None else 1.0 - float(np.exp(-found.margin))
     size = len(functional_map)
-    forward, backward = _in_file_numbering(source.mesh, target.mesh, maps)
-    faces, barycentric = _points_in_file_numbering(source.mesh, state.points)
+    points = state.points
     source_descriptors, target_descriptors = state.scale_invariant(required(state.start).signs)
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
-        target_of_source=forward,
-        source_of_target=backward,
+        target_of_source=source.mesh.map_to_file(target.mesh, maps.target_of_source),
+        source_of_target=target.mesh.map_to_file(source.mesh, maps.source_of_target),
         functional_map=functional_map,
         rotation=aligned.rotation,
         source_basis=source.basis.head(size),
@@ -64,34 +60,12 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
         device=backend.name,
         options=options,
         versions=_versions(),
-        source_faces=faces,
-        source_barycentric=barycentric,
+        source_faces=None if points is None else source.mesh.to_file(points.faces, -1),
+        source_barycentric=None if points is None else source.mesh.to_file(points.barycentric, 0.0),
         score=float("nan") if found is None else found.chosen.score,
         xi=state.xi,
         status="interrupted" if state.interrupted else aligned.status,
     )
-
-
-def _in_file_numbering(source: Mesh, target: Mesh, maps: PointMaps) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the maps between the vertices of the files; −1 for vertices that are not on the surface."""
-    forward = np.full(source.file_count, -1, dtype=np.int64)
-    forward[source.file_index] = target.file_index[maps.target_of_source]
-    backward = np.full(target.file_count, -1, dtype=np.int64)
-    backward[target.file_index] = source.file_index[maps.source_of_target]
-    return forward, backward
-
-
-def _points_in_file_numbering(
-    source: Mesh, points: SurfacePoints | None
-) -> tuple[NDArray[np.int64] | None, NDArray[np.float64] | None]:
-    """Return faces of the target and weights for every source vertex of the file; −1 and 0 off the surface."""
-    if points is None:
-        return None, None
-    faces = np.full(source.file_count, -1, dtype=np.int64)
-    faces[source.file_index] = points.faces
-    barycentric = np.zeros((source.file_count, 3))
-    barycentric[source.file_index] = points.barycentric
-    return faces, barycentric
 
 
 def local_distortion(source: Shape, target: Shape, target_of_source: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -114,9 +88,11 @@ def local_distortion(source: Shape, target: Shape, target_of_source: NDArray[np.
 def _alternatives(state: MatchState) -> tuple[Alternative, ...]:
     if state.found is None:
         return ()
+    source, target = state.source.mesh, state.target.mesh
     return tuple(
         Alternative(
-            *_in_file_numbering(state.source.mesh, state.target.mesh, maps),
+            source.map_to_file(target, maps.target_of_source),
+            target.map_to_file(source, maps.source_of_target),
             score=candidate.score,
             orientation=candidate.orientation,
             distance=candidate.distance,

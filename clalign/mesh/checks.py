@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clalign.errors import MeshError
-from clalign.mesh import topology as topology
+from clalign.mesh import topology
 from clalign.mesh.defects import SHOWN, Defect, Diagnosis, Severity, Surface
 
 MIN_VERTICES = 12
 """Fewer vertices than an icosahedron has carry no eigenfunctions worth aligning."""
 MAX_COORDINATE = 1e150
 """Squares of larger coordinates overflow float64, and squares of the inverse underflow."""
-SMALL_PIECES = 0.01
-"""Pieces beside the largest are left out if together they have less than this part of the area."""
+SMALL_COMPONENTS = 0.01
+"""Components beside the largest are left out if together they have less than this part of the area."""
 NO_AREA = 1e-12
 """A face below this part of its squared longest side, or a vertex below this part of the mean, has no area."""
 
@@ -65,7 +65,11 @@ def diagnose(vertices: ArrayLike, faces: ArrayLike, name: str = "mesh") -> Diagn
         components, _ = topology.connected_components(surface.faces, len(surface.vertices))
         return Diagnosis(n_vertices, n_faces, tuple(defects), surface, components)
     loops, _ = topology.edge_loops(topology.boundary_edges(surface.faces, len(surface.vertices)))
-    euler = len(surface.vertices) - len(topology.unique_edges(surface.faces)) + len(surface.faces)
+    euler = (
+        len(surface.vertices)
+        - len(topology.edge_table(surface.faces, len(surface.vertices)).edges)
+        + len(surface.faces)
+    )
     return Diagnosis(n_vertices, n_faces, tuple(defects), surface, 1, loops, euler, (2 - loops - euler) // 2)
 
 
@@ -243,20 +247,20 @@ def bare_vertices(surface: Surface) -> tuple[NDArray[np.bool_], NDArray[np.bool_
 
 
 def _check_components(surface: Surface) -> Checked:
-    """Keep one piece: distances and eigenfunctions mean nothing across a gap."""
-    count, piece, areas = pieces_by_area(surface)
+    """Keep one component: distances and eigenfunctions mean nothing across a gap."""
+    count, component, areas = components_by_area(surface)
     if count == 1:
         return surface, []
     largest = int(np.argmax(areas))
     share = float(areas[largest] / areas.sum())
-    vertex_piece = np.zeros(len(surface.vertices), dtype=np.int64)
-    vertex_piece[surface.faces.ravel()] = np.repeat(piece, 3)
-    others = np.flatnonzero(vertex_piece != largest)
-    samples = others[np.unique(vertex_piece[others], return_index=True)[1]]
+    vertex_component = np.zeros(len(surface.vertices), dtype=np.int64)
+    vertex_component[surface.faces.ravel()] = np.repeat(component, 3)
+    others = np.flatnonzero(vertex_component != largest)
+    samples = others[np.unique(vertex_component[others], return_index=True)[1]]
     problem = f"the mesh has {count} separate pieces, the largest with {100 * share:.4g} % of the area"
-    if 1 - share < SMALL_PIECES:
+    if 1 - share < SMALL_COMPONENTS:
         action = f"the largest is kept; {len(others)} vertices are left out, without a match (-1 in the maps)"
-        return surface.keep(piece == largest), [
+        return surface.keep(component == largest), [
             _defect(surface, "small-components", count, problem, vertices=samples, action=action)
         ]
     advice = "with the largest piece alone, {repair}"
@@ -265,12 +269,12 @@ def _check_components(surface: Surface) -> Checked:
     return surface, [_defect(surface, "components", count, problem, vertices=samples, advice=advice)]
 
 
-def pieces_by_area(surface: Surface) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
-    """Count the pieces; the piece of every face (m), and the area of every piece in units of the bounding box."""
+def components_by_area(surface: Surface) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
+    """Count the components; that of every face (m), and the area of each in units of the bounding box."""
     count, label = topology.connected_components(surface.faces, len(surface.vertices))
-    piece = label[surface.faces[:, 0]]
+    component = label[surface.faces[:, 0]]
     areas = topology.face_areas(topology.boxed(surface.vertices)[0], surface.faces)
-    return count, piece, np.bincount(piece, weights=areas, minlength=count).astype(np.float64)
+    return count, component, np.bincount(component, weights=areas, minlength=count).astype(np.float64)
 
 
 def _check_size(surface: Surface) -> Checked:
@@ -313,20 +317,20 @@ def _check_manifold(surface: Surface) -> Checked:
 
 
 def _check_orientation(surface: Surface) -> Checked:
-    """Turn the minority of faces so that neighbours agree; refuse one-sided surfaces."""
+    """Flip the minority of faces so that neighbours agree; refuse one-sided surfaces."""
     table = topology.edge_table(surface.faces, len(surface.vertices))
-    turn, twisted = topology.coherent_orientation(surface.faces, table, *topology.paired_half_edges(table))
+    flip, twisted = topology.coherent_orientation(surface.faces, table, *topology.paired_half_edges(table))
     found = []
     if twisted.any():
         bad = np.flatnonzero(twisted)
         problem = f"the surface has only one side, like a Möbius strip or a Klein bottle ({len(bad)} faces)"
         advice = "cut open along a seam, {repair}"
         found.append(_defect(surface, "non-orientable", len(bad), problem, faces=bad, advice=advice))
-    if turn.any():
-        bad = np.flatnonzero(turn)
+    if flip.any():
+        bad = np.flatnonzero(flip)
         problem = f"{len(bad)} {_plural(len(bad), 'face is', 'faces are')} turned against the others"
         found.append(_defect(surface, "orientation", len(bad), problem, faces=bad, action="turned round"))
-        surface = replace(surface, faces=topology.turned(surface.faces, turn))
+        surface = replace(surface, faces=topology.flipped(surface.faces, flip))
     return surface, found
 
 
@@ -351,12 +355,12 @@ def _check_boundary(surface: Surface) -> Checked:
 
 
 def _check_outward(surface: Surface) -> Checked:
-    """Turn a body that is inside out: the orientation is what tells a shape from its mirror image."""
+    """Flip a body that is inside out: the orientation is what tells a shape from its mirror image."""
     if topology.outward_sign(surface.vertices, surface.faces) >= 0:
         return surface, []
     found = _defect(surface, "inside-out", 1, "all faces point inward", action="turned outward")
     everything = np.ones(len(surface.faces), dtype=bool)
-    return replace(surface, faces=topology.turned(surface.faces, everything)), [found]
+    return replace(surface, faces=topology.flipped(surface.faces, everything)), [found]
 
 
 def _plural(count: int, one: str, many: str) -> str:

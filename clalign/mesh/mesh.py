@@ -56,9 +56,41 @@ class Mesh:
         """Number of triangles."""
         return len(self.faces)
 
+    @property
+    def file_faces(self) -> NDArray[np.int64]:
+        """(m, 3) corners of the triangles, numbered as in the file."""
+        return self.file_index[self.faces]
+
     def file_vertices(self) -> NDArray[np.float64]:
         """(n, 3) positions of the vertices in the file's own unit and place."""
         return self.vertices * self.scale + self.offset
+
+    def file_positions(self) -> NDArray[np.float64]:
+        """(file_count, 3) positions in the file's unit and order; vertices off the surface lie at the centroid."""
+        return self.to_file(self.file_vertices(), self.offset)
+
+    def to_file(self, values: NDArray, fill: ArrayLike) -> NDArray:
+        """Values (n, …) of the vertices in the order of the file (file_count, …), `fill` off the surface."""
+        filled = np.full((self.file_count, *values.shape[1:]), fill, dtype=values.dtype)
+        filled[self.file_index] = values
+        return filled
+
+    def from_file(self, values: NDArray) -> NDArray:
+        """Values (file_count, …) in the order of the file as those of the vertices (n, …)."""
+        return values[self.file_index]
+
+    def vertex_of_file(self) -> NDArray[np.int64]:
+        """(file_count,) the vertex here of every vertex of the file; −1 for those off the surface."""
+        return self.to_file(np.arange(self.n_vertices), -1)
+
+    def map_to_file(self, other: Mesh, matches: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Turn a map (n,) to vertices of `other` into one between the files: (file_count,), −1 off the surface."""
+        return self.to_file(other.file_index[matches], -1)
+
+    def map_from_file(self, other: Mesh, matches: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Turn a map (file_count,) between the files into one to vertices of `other`: (n,), −1 for no match."""
+        mine = self.from_file(matches)
+        return np.where(mine >= 0, other.vertex_of_file()[mine], -1)
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:

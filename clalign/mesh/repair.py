@@ -16,8 +16,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_tree
 
 from clalign.errors import MeshError
-from clalign.mesh import topology as topology
-from clalign.mesh.checks import MAX_COORDINATE, bare_vertices, diagnose, mesh_arrays, pieces_by_area
+from clalign.mesh import topology
+from clalign.mesh.checks import MAX_COORDINATE, bare_vertices, components_by_area, diagnose, mesh_arrays
 from clalign.mesh.defects import Surface
 from clalign.mesh.topology import BoolArray, IntArray
 
@@ -45,7 +45,7 @@ class Repaired:
 
 
 def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False) -> Repaired:
-    """Drop, cut and turn whatever keeps a mesh from being one oriented surface.
+    """Drop, cut and flip whatever keeps a mesh from being one oriented surface.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False) -> Rep
     surface = sound = _without_degenerate(surface, notes)
     if len(surface.faces):
         surface = _glued(surface, notes)
-        surface = _largest_piece(surface, notes)
+        surface = _largest_component(surface, notes)
     diagnosis = diagnose(surface.vertices, surface.faces)
     if diagnosis.refused or diagnosis.surface is None:
         reasons = "; ".join(defect.problem for defect in diagnosis.refused)
@@ -139,16 +139,16 @@ def _without_degenerate(surface: Surface, notes: list[str]) -> Surface:
 
 
 def _glued(surface: Surface, notes: list[str]) -> Surface:
-    """Take the faces apart and glue them to a manifold, orientable surface, turning faces where needed."""
+    """Take the faces apart and glue them to a manifold, orientable surface, flipping faces where needed."""
     for _ in range(_PASSES):
         table = topology.edge_table(surface.faces, len(surface.vertices))
         one, other = _gluing(surface, table)
-        agreeing, turn = _orientable(surface, table, one, other)
+        agreeing, flip = _orientable(surface, table, one, other)
         _, fan = topology.corner_fans(surface.faces, one[agreeing], other[agreeing])
-        _note(notes, turn, "faces turned round to agree with the others")
+        _note(notes, flip, "faces turned round to agree with the others")
         before = len(surface.vertices)
         surface = _vertices_from_fans(surface, fan)
-        surface = replace(surface, faces=topology.turned(surface.faces, turn))
+        surface = replace(surface, faces=topology.flipped(surface.faces, flip))
         if len(surface.vertices) > before:
             notes.append(f"cut open where it was no surface: {len(surface.vertices) - before} vertices doubled")
         table = topology.edge_table(surface.faces, len(surface.vertices))
@@ -173,10 +173,10 @@ def _gluing(surface: Surface, table: topology.EdgeTable) -> tuple[IntArray, IntA
     _, patch = topology.face_components(table, len(surface.faces))
     away = _away_from_edge(surface)
     firsts, seconds = [one], [other]
-    for turn in range(_MOST_AROUND // 2):
+    for attempt in range(_MOST_AROUND // 2):
         a, b = _pairs_on_same_edge(free, table.edge_of_half_edge)
         same_patch = patch[a % len(patch)] == patch[b % len(patch)]
-        if turn:
+        if attempt:
             # Beside the best pair only sheets that are one anyway go on across the edge.
             a, b, same_patch = a[same_patch], b[same_patch], same_patch[same_patch]
         if not len(a):
@@ -216,23 +216,23 @@ def _pairs_on_same_edge(half_edges: IntArray, edge: IntArray) -> tuple[IntArray,
 def _orientable(
     surface: Surface, table: topology.EdgeTable, one: IntArray, other: IntArray
 ) -> tuple[BoolArray, BoolArray]:
-    """Which pairs (p,) to keep glued so that the surface has two sides, and which faces (m,) to turn."""
+    """Which pairs (p,) to keep glued so that the surface has two sides, and which faces (m,) to flip."""
     n_faces = len(surface.faces)
-    turn, twisted = topology.coherent_orientation(surface.faces, table, one, other)
+    flip, twisted = topology.coherent_orientation(surface.faces, table, one, other)
     if not twisted.any():
-        return np.ones(len(one), dtype=bool), turn
+        return np.ones(len(one), dtype=bool), flip
     # A spanning tree of the faces can always be oriented; the pairs that then disagree are the seam to cut.
     a, b = one % n_faces, other % n_faces
     tree = _spanning_pairs(n_faces, a, b)
-    turn, _ = topology.coherent_orientation(surface.faces, table, one[tree], other[tree])
-    conflict = (table.forward[one] ^ turn[a]) == (table.forward[other] ^ turn[b])
-    return ~conflict, turn
+    flip, _ = topology.coherent_orientation(surface.faces, table, one[tree], other[tree])
+    conflict = (table.forward[one] ^ flip[a]) == (table.forward[other] ^ flip[b])
+    return ~conflict, flip
 
 
 def _spanning_pairs(n_faces: int, a: IntArray, b: IntArray) -> IntArray:
     """Numbers of the pairs (a, b) of faces that form a spanning forest, short in steps."""
-    root_edges = np.unique(topology.graph_pieces(n_faces, a, b)[1], return_index=True)[1]
-    # One extra node is joined to a face of every piece, so that a single breadth-first tree reaches all.
+    root_edges = np.unique(topology.graph_components(n_faces, a, b)[1], return_index=True)[1]
+    # One extra node is joined to a face of every component, so that a single breadth-first tree reaches all.
     first = np.concatenate([a, np.full(len(root_edges), n_faces)])
     second = np.concatenate([b, root_edges])
     graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(n_faces + 1, n_faces + 1)).tocsr()
@@ -255,16 +255,16 @@ def _vertices_from_fans(surface: Surface, fan: IntArray) -> Surface:
     return Surface(surface.vertices[origin], place[fan], surface.file_index[origin], surface.face_index)
 
 
-def _largest_piece(surface: Surface, notes: list[str]) -> Surface:
-    """Keep the piece with the largest area."""
-    count, piece, areas = pieces_by_area(surface)
+def _largest_component(surface: Surface, notes: list[str]) -> Surface:
+    """Keep the component with the largest area."""
+    count, component, areas = components_by_area(surface)
     if count == 1:
         return surface
     largest = int(np.argmax(areas))
     share = 100 * areas[largest] / areas.sum()
     dropped = "1 smaller piece" if count == 2 else f"{count - 1} smaller pieces"
     notes.append(f"{dropped} dropped; the largest has {share:.4g} % of the area")
-    return surface.keep(piece == largest)
+    return surface.keep(component == largest)
 
 
 def _note(notes: list[str], bad: BoolArray, what: str) -> None:

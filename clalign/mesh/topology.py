@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components as graph_components
+from scipy.sparse import coo_matrix, csgraph
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -58,18 +57,6 @@ def paired_half_edges(table: EdgeTable) -> tuple[IntArray, IntArray]:
     return order[first], order[first + 1]
 
 
-def unique_edges(faces: NDArray[np.integer], n_vertices: int | None = None) -> IntArray:
-    """Every edge once: (e, 2) vertex pairs, smaller number first, in lexicographic order."""
-    faces = np.asarray(faces, dtype=np.int64)
-    count = int(faces.max(initial=-1)) + 1 if n_vertices is None else n_vertices
-    return edge_table(faces, count).edges
-
-
-def edge_lengths(vertices: FloatArray, edges: NDArray[np.integer]) -> FloatArray:
-    """Length of each edge (e,), in the unit of the vertices."""
-    return np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
-
-
 def boundary_edges(faces: NDArray[np.integer], n_vertices: int) -> IntArray:
     """(b, 2) edges that belong to one face only, directed as in that face."""
     table = edge_table(faces, n_vertices)
@@ -112,20 +99,20 @@ def vertex_normals(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArr
         axis=1,
     )
     length = np.linalg.norm(summed, axis=1, keepdims=True)
-    return np.divide(summed, length, out=np.zeros_like(summed), where=length > 0)
+    return np.divide(summed, length, out=np.zeros(summed.shape), where=length > 0)
 
 
 def connected_components(faces: NDArray[np.integer], n_vertices: int) -> tuple[int, IntArray]:
-    """Count the pieces joined by shared vertices, and label each vertex (n,); a lone vertex is a piece."""
+    """Count the components joined by shared vertices, and label each vertex (n,); a lone vertex is one."""
     tail = np.asarray(faces).ravel()
     head = np.roll(np.asarray(faces), -1, axis=1).ravel()
-    return graph_pieces(n_vertices, tail, head)
+    return graph_components(n_vertices, tail, head)
 
 
 def face_components(table: EdgeTable, n_faces: int) -> tuple[int, IntArray]:
     """Count the patches of faces joined across edges with exactly two faces, and label each face (m,)."""
     one, other = paired_half_edges(table)
-    return graph_pieces(n_faces, one % n_faces, other % n_faces)
+    return graph_components(n_faces, one % n_faces, other % n_faces)
 
 
 def corner_fans(faces: NDArray[np.integer], one: IntArray, other: IntArray) -> tuple[int, IntArray]:
@@ -149,7 +136,7 @@ def corner_fans(faces: NDArray[np.integer], one: IntArray, other: IntArray) -> t
     same_way = tail[one] == tail[other]
     first = np.concatenate([one, following[one]])
     second = np.concatenate([np.where(same_way, other, following[other]), np.where(same_way, following[other], other)])
-    count, label = graph_pieces(3 * n_faces, first, second)
+    count, label = graph_components(3 * n_faces, first, second)
     return count, label.reshape(3, n_faces).T
 
 
@@ -164,7 +151,7 @@ def fan_counts(faces: NDArray[np.integer], table: EdgeTable, n_vertices: int) ->
 def coherent_orientation(
     faces: NDArray[np.integer], table: EdgeTable, one: IntArray, other: IntArray
 ) -> tuple[BoolArray, BoolArray]:
-    """Find which faces to turn so that glued faces agree, turning as few as possible in each patch.
+    """Find which faces to flip so that glued faces agree, flipping as few as possible in each patch.
 
     The patches of the double cover (every face in both orientations) come in pairs; a patch that is joined to its own
     reverse cannot be oriented.
@@ -179,7 +166,7 @@ def coherent_orientation(
 
     Returns
     -------
-    turn, twisted : (m,) bool each
+    flip, twisted : (m,) bool each
         faces to reverse, and faces of patches that have no orientation.
     """
     n_faces = len(faces)
@@ -187,14 +174,14 @@ def coherent_orientation(
     conflict = table.forward[one] == table.forward[other]
     first = np.concatenate([a, a + n_faces])
     second = np.concatenate([np.where(conflict, b + n_faces, b), np.where(conflict, b, b + n_faces)])
-    count, label = graph_pieces(2 * n_faces, first, second)
+    count, label = graph_components(2 * n_faces, first, second)
     kept = np.bincount(label[:n_faces], minlength=count)
-    turned = np.bincount(label[n_faces:], minlength=count)
+    reversed_ = np.bincount(label[n_faces:], minlength=count)
     twisted = label[:n_faces] == label[n_faces:]
     mine, mirror = label[:n_faces], label[n_faces:]
-    votes = kept[mine] - turned[mine]
-    turn = np.where(votes == 0, mine > mirror, votes < 0) & ~twisted
-    return turn, twisted
+    votes = kept[mine] - reversed_[mine]
+    flip = np.where(votes == 0, mine > mirror, votes < 0) & ~twisted
+    return flip, twisted
 
 
 def signed_volume(vertices: FloatArray, faces: NDArray[np.integer]) -> float:
@@ -250,9 +237,9 @@ def outward_sign(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> int
     return 0 if abs(volume) < 1e-9 else int(np.sign(volume))
 
 
-def turned(faces: NDArray[np.int64], turn: NDArray[np.bool_]) -> NDArray[np.int64]:
+def flipped(faces: NDArray[np.int64], flip: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Copy of `faces` (m, 3) with the marked ones reversed."""
-    return np.where(turn[:, None], faces[:, [0, 2, 1]], faces)
+    return np.where(flip[:, None], faces[:, [0, 2, 1]], faces)
 
 
 def duplicate_faces(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -266,10 +253,10 @@ def duplicate_faces(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def edge_loops(edges: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
-    """Number of connected pieces of an edge list (b, 2), and the piece of every edge."""
+    """Number of connected components of an edge list (b, 2), and the component of every edge."""
     numbers, compact = np.unique(edges, return_inverse=True)
     compact = compact.reshape(-1, 2)
-    count, label = graph_pieces(len(numbers), compact[:, 0], compact[:, 1])
+    count, label = graph_components(len(numbers), compact[:, 0], compact[:, 1])
     return count, label[compact[:, 0]]
 
 
@@ -288,8 +275,8 @@ def boxed(vertices: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     return (vertices - middle) / (extent if extent > 0 else 1.0), middle, extent
 
 
-def graph_pieces(n_nodes: int, first: NDArray[np.integer], second: NDArray[np.integer]) -> tuple[int, IntArray]:
+def graph_components(n_nodes: int, first: NDArray[np.integer], second: NDArray[np.integer]) -> tuple[int, IntArray]:
     """Connected components of an undirected graph given by its edge list."""
     graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(n_nodes, n_nodes))
-    count, label = graph_components(graph, directed=False)
+    count, label = csgraph.connected_components(graph, directed=False)
     return int(count), label.astype(np.int64)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clalign.errors import MeshError
+from clalign.storage.files import replaced_file
 
 Colours = NDArray[np.uint8] | None
 
@@ -39,12 +40,10 @@ def save_mesh(
     points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
     triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
     content = writer(points, triangles, None if colours is None else _colour_bytes(colours, len(points), path))
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        partial.write_bytes(content)
-        partial.replace(path)
+        with replaced_file(path) as stream:
+            stream.write(content)
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise MeshError(
             f"{path}: cannot be written ({error.strerror}); check the folder and its access rights"
         ) from error

@@ -1,4 +1,4 @@
-"""Which way to look at a shape: a front view from its extent, and the turn that makes two shapes face alike."""
+"""Which way to look at a shape: a front view from its extent, and the rotation that makes two shapes face alike."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Up = Literal["x", "y", "z"]
 
 _TIGHTER_BOX = 1.6
 _CLEARLY_LONGER = 2.0
-_TURN_FROM = np.deg2rad(45.0)
+_SMALLEST_ANGLE = np.deg2rad(45.0)
 
 
 def front_view(vertices: NDArray[np.floating], up: Up | None = None) -> NDArray[np.float64]:
@@ -51,8 +51,8 @@ def front_view(vertices: NDArray[np.floating], up: Up | None = None) -> NDArray[
     return np.stack([np.cross(axes[upward], facing), axes[upward], facing])
 
 
-def turn_to(source: NDArray[np.floating], target: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the rotation that turns source points to face like their target points (identity for small turns).
+def facing_rotation(source: NDArray[np.floating], target: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the rotation that makes source points face like their target points (identity if it is small).
 
     Parameters
     ----------
@@ -60,14 +60,14 @@ def turn_to(source: NDArray[np.floating], target: NDArray[np.floating]) -> NDArr
 
     Returns
     -------
-    (3, 3) float64 rotation of the best rigid fit (Kabsch) if it turns by more than 45 degrees, else the identity.
+    (3, 3) float64 rotation of the best rigid fit (Kabsch) if its angle is more than 45 degrees, else the identity.
     """
     moment = (np.asarray(target) - np.mean(target, axis=0)).T @ (np.asarray(source) - np.mean(source, axis=0))
     left, _, right = np.linalg.svd(moment)
     left[:, 2] *= np.sign(np.linalg.det(left @ right))
     rotation = left @ right
     angle = np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))
-    return np.asarray(rotation) if angle > _TURN_FROM else np.eye(3)
+    return np.asarray(rotation) if angle > _SMALLEST_ANGLE else np.eye(3)
 
 
 def _principal_view(principal: NDArray[np.float64]) -> NDArray[np.float64]:

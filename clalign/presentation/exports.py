@@ -20,22 +20,14 @@ from clalign.geometry.operators import stiffness
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.writing import save_mesh
 from clalign.presentation.camera import Up, front_view
-from clalign.presentation.colours import position_colours
-from clalign.presentation.picture import carried_colours
 from clalign.presentation.raster import write_png
-from clalign.presentation.texture import Texture
+from clalign.transfer.colours import carried_colours, position_colours
 from clalign.transfer.surface_map import surface_map, vertex_map
+from clalign.transfer.texture import Texture, write_textured_obj
 
 _TEXTURE_SIZE = 512
 _TEXTURE_SQUARES = 24
 _MATERIAL = "newmtl checkers\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd texture.png\n"
-
-
-def file_positions(mesh: Mesh) -> NDArray[np.float64]:
-    """Return (file_count, 3) positions in the file's unit; vertices off the surface lie at the centroid."""
-    positions = np.tile(mesh.offset, (mesh.file_count, 1))
-    positions[mesh.file_index] = mesh.file_vertices()
-    return positions
 
 
 def export_ply(correspondence: Correspondence, folder: str | Path, *, up: Up | None = None) -> list[Path]:
@@ -46,9 +38,7 @@ def export_ply(correspondence: Correspondence, folder: str | Path, *, up: Up | N
     written = []
     for side, mesh, rows in (("source", correspondence.source, carried), ("target", target, colours)):
         path = _ready(folder) / f"{side}.ply"
-        on_file = np.full((mesh.file_count, 3), 0.5)
-        on_file[mesh.file_index] = rows
-        save_mesh(path, file_positions(mesh), mesh.file_index[mesh.faces], on_file)
+        save_mesh(path, mesh.file_positions(), mesh.file_faces, mesh.to_file(rows, 0.5))
         written.append(path)
     return written
 
@@ -66,28 +56,11 @@ def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | N
     folder = _ready(folder)
     materials = ("mtllib texture.mtl", "usemtl checkers")
     for side, mesh, rows in (("source", correspondence.source, carried), ("target", target, laid)):
-        texture = Texture(rows, mesh.faces.astype(np.int64), mesh.file_index[mesh.faces], materials)
-        write_textured_obj(folder / f"{side}.obj", file_positions(mesh), texture)
+        texture = Texture(rows, mesh.faces.astype(np.int64), mesh.file_faces, materials)
+        write_textured_obj(folder / f"{side}.obj", mesh.file_positions(), texture)
     (folder / "texture.mtl").write_text(_MATERIAL, encoding="ascii")
     write_png(folder / "texture.png", _checkers())
     return [folder / name for name in ("source.obj", "target.obj", "texture.mtl", "texture.png")]
-
-
-def write_textured_obj(path: str | Path, vertices: NDArray[np.float64], texture: Texture) -> None:
-    """Write an OBJ file with texture coordinates of corners.
-
-    Parameters
-    ----------
-    path : the file.
-    vertices : (n, 3) positions in file numbering.
-    texture : coordinates, corners and faces; its material lines come first.
-    """
-    lines = list(texture.materials)
-    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
-    lines += [f"vt {u:.7g} {v:.7g}" for u, v in texture.coordinates.tolist()]
-    corners = np.stack([texture.faces + 1, texture.corners + 1], axis=2).reshape(-1, 6)
-    lines += [f"f {a}/{s} {b}/{t} {c}/{u}" for a, s, b, t, c, u in corners.tolist()]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def export_vts(correspondence: Correspondence, folder: str | Path) -> list[Path]:

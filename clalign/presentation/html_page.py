@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+
+from clalign.storage.files import replaced_file
 
 
 def head(title: str, style: str, images: str) -> str:
@@ -37,9 +38,5 @@ def file_text(package: str, name: str) -> str:
 
 def write_page(path: Path, page: str) -> None:
     """Write a page; an earlier one is replaced only when the new one is complete."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        unfinished.write_text(page, encoding="utf-8")
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with replaced_file(path) as stream:
+        stream.write(page.encode())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from clalign.benchmark.performance_pair import ScaleTime, stage_exponents, stage_names
+from clalign.benchmark.pair import ScaleTime, stage_exponents, stage_names
 from clalign.errors import InputError
 
 SHOWN_ABOVE = 0.02

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
-from clalign.presentation.camera import Up, front_view, turn_to
-from clalign.presentation.colours import UNMATCHED, function_colours, position_colours
-from clalign.presentation.lettering import with_word
-from clalign.presentation.raster import png_bytes, rasterise, write_png
+from clalign.presentation.camera import Up, facing_rotation, front_view
+from clalign.presentation.raster import png_bytes, rasterise, with_word, write_png
+from clalign.transfer.colours import carried_colours, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map
 
 _MARGIN = 0.05
@@ -45,7 +44,7 @@ def match_image(correspondence: Correspondence, *, height: int = 900, up: Up | N
     to_target = surface_map(correspondence)
     target_colours = position_colours(target.vertices, view)
     source_colours = carried_colours(target_colours, to_target)
-    source_view = view @ map_turn(source.vertices, target.vertices, to_target)
+    source_view = view @ map_rotation(source.vertices, target.vertices, to_target)
     return draw_row(
         [
             (source.vertices @ source_view.T, source.faces, source_colours),
@@ -56,45 +55,14 @@ def match_image(correspondence: Correspondence, *, height: int = 900, up: Up | N
     )
 
 
-def function_image(
-    shapes: Sequence[tuple[NDArray[np.floating], NDArray[np.integer]]],
-    values: Sequence[NDArray[np.floating]],
-    *,
-    height: int = 600,
-    up: Up | None = None,
-) -> NDArray[np.uint8]:
-    """Draw one signed function per shape, side by side with a common colour scale.
-
-    Parameters
-    ----------
-    shapes : pairs of vertices (n, 3) and faces (m, 3).
-    values : for every shape an (n,) array; white is zero, red positive, blue negative.
-    height : of the picture, in pixels.
-    up : coordinate axis that points up.
-
-    Returns
-    -------
-    (height, width, 3) uint8.
-    """
-    limit = float(np.quantile(np.abs(np.concatenate([np.ravel(v) for v in values])), 0.99))
-    drawn = []
-    for (vertices, faces), function in zip(shapes, values, strict=True):
-        view = front_view(vertices, up)
-        drawn.append((vertices @ view.T, faces, function_colours(function, limit=limit)))
-    return draw_row(drawn, height)
-
-
-def carried_colours(target_colours: NDArray[np.float64], to_target: SurfaceMap) -> NDArray[np.float64]:
-    """Return (n_x, 3) colours pulled back from the target; grey where a source vertex has no match."""
-    return np.where(to_target.matched[:, None], to_target.pull(target_colours), UNMATCHED)
-
-
-def map_turn(source: NDArray[np.floating], target: NDArray[np.floating], to_target: SurfaceMap) -> NDArray[np.float64]:
+def map_rotation(
+    source: NDArray[np.floating], target: NDArray[np.floating], to_target: SurfaceMap
+) -> NDArray[np.float64]:
     """Return the rotation that lets the source face like the target (identity where they already do)."""
     matched = to_target.matched
     if np.count_nonzero(matched) < 3:
         return np.eye(3)
-    return turn_to(source[matched], to_target.pull(target)[matched])
+    return facing_rotation(source[matched], to_target.pull(target)[matched])
 
 
 def draw_row(
@@ -110,7 +78,7 @@ def draw_row(
     shapes : for each the vertices (n, 3) in viewing coordinates (right, up, towards the viewer), faces (m, 3) and
         colours (n, 3) in [0, 1].
     height : of the picture, in pixels.
-    words : one below each shape, where the picture is high enough (see `lettering`); none if empty.
+    words : one below each shape, where the picture is high enough; none if empty.
 
     Returns
     -------

@@ -1,15 +1,20 @@
-"""A small software renderer: triangle meshes to images with numpy alone, so that pictures need no display or driver."""
+"""A small software renderer: triangle meshes to images without a display or driver."""
 
 from __future__ import annotations
 
-import struct
-import zlib
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
+from clalign.mesh.topology import vertex_normals
+
+_INK = (70, 70, 70)
+_LOWEST_MARGIN = 12
+"""Rows below which a word could not be read."""
 _BLOCK = 1 << 17
 _DEPTH_LEVELS = 1 << 30
 _KEY_LIGHT = np.array([-0.38, 0.52, 0.76])
@@ -55,57 +60,33 @@ def rasterise(
     return np.ascontiguousarray(image[::-1])
 
 
-def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Return (n, 3) unit normals: the area-weighted mean of the faces around each vertex (zero where there is none)."""
-    edge_a = vertices[faces[:, 1]] - vertices[faces[:, 0]]
-    edge_b = vertices[faces[:, 2]] - vertices[faces[:, 0]]
-    face_normals = np.cross(edge_a, edge_b)
-    normals = np.stack(
-        [
-            np.bincount(faces.ravel(), weights=np.repeat(face_normals[:, axis], 3), minlength=len(vertices))
-            for axis in range(3)
-        ],
-        axis=1,
-    )
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.where(lengths > 0, lengths, 1.0))
-
-
 def write_png(path: str | Path, image: NDArray[np.uint8]) -> None:
     """Write an (height, width, 3) uint8 image as a PNG file."""
-    Path(path).write_bytes(png_bytes(image))
+    Image.fromarray(image).save(path, "png")
 
 
 def png_bytes(image: NDArray[np.uint8]) -> bytes:
-    """Return an (height, width, 3) uint8 image in PNG format.
+    """Return an (height, width, 3) uint8 image in PNG format."""
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, "png")
+    return stream.getvalue()
 
-    Raises
-    ------
-    ValueError
-        The array has another shape or type.
+
+def with_word(image: NDArray[np.uint8], word: str, margin: int) -> NDArray[np.uint8]:
+    """Return a picture with a word in the middle of its lower margin; without it where it does not fit.
+
+    Parameters
+    ----------
+    image : (height, width, 3) uint8.
+    margin : free rows below what is drawn.
     """
-    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-        raise ValueError(f"a picture must be (height, width, 3) uint8, got {image.shape} {image.dtype}")
     height, width, _ = image.shape
-    # Every row is stored as its difference to the row above (filter 2), which deflate packs far better.
-    rows = np.empty((height, 1 + 3 * width), dtype=np.uint8)
-    rows[:, 0] = 2
-    flat = image.reshape(height, 3 * width)
-    rows[:, 1:] = flat
-    rows[1:, 1:] -= flat[:-1]
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return b"".join(
-        [
-            b"\x89PNG\r\n\x1a\n",
-            _chunk(b"IHDR", header),
-            _chunk(b"IDAT", zlib.compress(rows.tobytes(), 7)),
-            _chunk(b"IEND", b""),
-        ]
-    )
-
-
-def _chunk(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+    font = ImageFont.load_default(max(0.6 * margin, 1))
+    if margin < _LOWEST_MARGIN or font.getlength(word) > width:
+        return image
+    lettered = Image.fromarray(image)
+    ImageDraw.Draw(lettered).text((width / 2, height - margin / 2), word, fill=_INK, font=font, anchor="mm")
+    return np.asarray(lettered)
 
 
 @dataclass(frozen=True)

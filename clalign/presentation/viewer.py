@@ -12,8 +12,8 @@ from clalign.correspondence import Correspondence
 from clalign.errors import InputError
 from clalign.mesh.mesh import Mesh
 from clalign.presentation.camera import Up, front_view
-from clalign.presentation.colours import position_colours
-from clalign.presentation.picture import carried_colours, map_turn
+from clalign.presentation.picture import map_rotation
+from clalign.transfer.colours import carried_colours, position_colours
 from clalign.transfer.surface_map import surface_map
 
 
@@ -51,9 +51,9 @@ def show(
     else:
         on_target = np.asarray(scalars, dtype=np.float64)
         on_source = np.where(to_target.matched, to_target.pull(on_target), np.nan)
-    turned = view @ map_turn(source.vertices, target.vertices, to_target)
+    source_view = view @ map_rotation(source.vertices, target.vertices, to_target)
     plotter: Any = pyvista.Plotter(shape=(1, 2), off_screen=screenshot is not None, window_size=[1400, 800])
-    for column, (mesh, axes, values) in enumerate(((source, turned, on_source), (target, view, on_target))):
+    for column, (mesh, axes, values) in enumerate(((source, source_view, on_source), (target, view, on_target))):
         plotter.subplot(0, column)
         plotter.set_background("white")
         plotter.add_mesh(_surface(pyvista, mesh, axes), scalars=values, rgb=scalars is None, smooth_shading=True)

@@ -35,8 +35,8 @@ def embedding_residuals(
 
     Distances between matched points in the embeddings by all functions that the polar factor of the functional map
     turns onto each other. It is the compromise of the whole surface; where a part is turned or folded, no rotation of
-    the functions brings both the part and its surroundings together. All directions weigh 1, so that maps can be compared:
-    weighted by singular values a worse map would be forgiven more.
+    the functions brings both the part and its surroundings together. All directions weigh 1, so that maps can be
+    compared: weighted by singular values a worse map would be forgiven more.
     """
     size = min(source.count, target.count, rules.compared)
     rotation = polar_factor(sample_functional_map(source, target, maps, size, rules.ridge)).astype(np.float32)

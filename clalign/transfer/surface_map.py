@@ -105,9 +105,7 @@ def _compact(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> NDArray[
             f"vertex {wrong} of {here.name} is mapped to {int(file_map[wrong])}, but {there.name} has vertices 0 to "
             f"{there.file_count - 1}; maps are zero-based here"
         )
-    mesh_index = np.full(there.file_count + 1, -1, dtype=np.int64)
-    mesh_index[there.file_index] = np.arange(len(there.file_index))
-    return np.asarray(mesh_index[file_map[here.file_index]])
+    return here.map_from_file(there, file_map)
 
 
 def _finest_map(correspondence: Correspondence) -> SurfaceMap:
@@ -115,8 +113,8 @@ def _finest_map(correspondence: Correspondence) -> SurfaceMap:
     coarse = vertex_map(correspondence.target_of_source, source, target)
     if correspondence.source_faces is None or correspondence.source_barycentric is None:
         return coarse
-    faces = np.asarray(correspondence.source_faces)[source.file_index]
-    weights = np.asarray(correspondence.source_barycentric, dtype=np.float64)[source.file_index]
+    faces = source.from_file(correspondence.source_faces)
+    weights = source.from_file(correspondence.source_barycentric)
     known = (faces >= 0) & coarse.matched
     corners = np.where(known[:, None], target.faces[np.maximum(faces, 0)], coarse.corners)
     return SurfaceMap(coarse.vertex, corners, np.where(known[:, None], weights, coarse.weights))

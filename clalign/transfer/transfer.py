@@ -70,11 +70,11 @@ def carry_values(
     if route == "functional":
         if origin != "source":
             raise InputError("C leads from the source to the target; carry from the source, or use route 'points'")
-        return _on_file(_through_functional_map(correspondence, rows), there, np.nan)
+        return there.to_file(_through_functional_map(correspondence, rows), np.nan)
     pull = map_from(correspondence, origin)
     carried = pull.pull(rows)
     carried[~pull.matched] = np.nan
-    return _on_file(carried, there, np.nan)
+    return there.to_file(carried, np.nan)
 
 
 def carry_labels(correspondence: Correspondence, labels: ArrayLike, *, origin: Side = "source") -> NDArray[np.int64]:
@@ -101,7 +101,7 @@ def carry_labels(correspondence: Correspondence, labels: ArrayLike, *, origin: S
         numbers = np.rint(numbers)
     rows = _rows(numbers, here, np.int64)
     vertex = map_from(correspondence, origin).vertex
-    return _on_file(np.where(vertex >= 0, rows[np.maximum(vertex, 0)], -1), there, -1)
+    return there.to_file(np.where(vertex >= 0, rows[np.maximum(vertex, 0)], -1), -1)
 
 
 def carry_landmarks(
@@ -173,7 +173,7 @@ def carry_deformation(
     fitted = _fit_gradients(there, gradients)
     their_mass = lumped_mass(there.vertices, there.faces)
     fitted += their_mass @ (there.vertices - fitted) / their_mass.sum() + moved
-    return _on_file(fitted * there.scale + there.offset, there, np.nan)
+    return there.to_file(fitted * there.scale + there.offset, np.nan)
 
 
 def _through_functional_map(correspondence: Correspondence, rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -236,10 +236,4 @@ def _rows(values: ArrayLike, mesh: Mesh, dtype: type) -> NDArray:
             f"there are {array.shape[0] if array.ndim else 0} rows, but {mesh.name} has {mesh.file_count} vertices in "
             "its file; one row a vertex is needed"
         )
-    return array.astype(dtype)[mesh.file_index]
-
-
-def _on_file(rows: NDArray, mesh: Mesh, fill: float) -> NDArray:
-    filled = np.full((mesh.file_count, *rows.shape[1:]), fill, dtype=rows.dtype)
-    filled[mesh.file_index] = rows
-    return filled
+    return mesh.from_file(array.astype(dtype))

@@ -12,8 +12,8 @@ from clalign.mesh.mesh import mesh_from_arrays
 
 @pytest.mark.parametrize("count", [100, 1501])
 def test_both_meshes_are_closed_spheres_of_the_size_asked_for(count: int) -> None:
-    problem = generated_pair(count)
-    for mesh in (problem.source, problem.target):
+    pair = generated_pair(count)
+    for mesh in (pair.source, pair.target):
         assert mesh.n_vertices == mesh.file_count == count
         assert mesh.n_faces == 2 * count - 4
         assert mesh.notes == ()
@@ -24,8 +24,8 @@ def test_both_meshes_are_closed_spheres_of_the_size_asked_for(count: int) -> Non
 
 
 def test_the_meshes_differ_but_the_surfaces_hardly_do() -> None:
-    problem = generated_pair(2000)
-    source, target, truth = problem.source, problem.target, problem.truth.target_points
+    pair = generated_pair(2000)
+    source, target, truth = pair.source, pair.target, pair.truth.target_points
     assert 0.4 < len(np.unique(truth)) / 2000 < 0.95
     edges = truth[source.faces[:, :2]]
     straight = np.linalg.norm(np.diff(source.vertices[source.faces[:, :2]], axis=1), axis=2).mean()

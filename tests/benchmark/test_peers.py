@@ -5,11 +5,11 @@ import importlib.metadata
 import pytest
 import shapes
 
+from clalign.benchmark.pairs import LoadedPair
 from clalign.benchmark.peers import PyfmMethod
+from clalign.benchmark.perturb import renumber
 from clalign.errors import InputError
 from clalign.evaluation.errors import evaluate
-from clalign.evaluation.pairs import Problem
-from clalign.evaluation.perturb import renumber
 from clalign.mesh.mesh import mesh_from_arrays
 
 
@@ -19,7 +19,7 @@ def test_pyfm_maps_from_source_to_target() -> None:
     pytest.importorskip("pyFM")
     source = mesh_from_arrays(*shapes.bumpy_sphere(3), name="bumpy")
     moved = renumber(source, seed=1)
-    outcome = PyfmMethod(refined=60)(Problem("bumpy", source, moved.mesh, moved.truth, None))
+    outcome = PyfmMethod(refined=60)(LoadedPair("bumpy", source, moved.mesh, moved.truth, None))
     result = evaluate(outcome.target_of_source, moved.truth, source=source, target=moved.mesh)
     assert result.mean < 0.05
     assert set(outcome.stages) == {"spectra", "fit", "zoomout"}

@@ -7,20 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from clalign.benchmark import performance_losses as losses
+from clalign.benchmark import losses
 from clalign.benchmark.generated import generated_pair
-from clalign.benchmark.microbench import KernelRate
-from clalign.benchmark.pair_process import Request
-from clalign.benchmark.performance import (
-    bytes_text,
-    exponent_text,
-    fitted_exponent,
-    markdown_table,
-    seconds_text,
-    this_machine,
-)
-from clalign.benchmark.performance_kernels import kernel_table, measure_spectra, spectra_table
-from clalign.benchmark.performance_pair import (
+from clalign.benchmark.kernels import KernelRate, kernel_table, measure_spectra, spectra_table
+from clalign.benchmark.pair import (
     START,
     PairTime,
     ScaleTime,
@@ -29,6 +19,15 @@ from clalign.benchmark.performance_pair import (
     stage_exponents,
     timed_process,
 )
+from clalign.benchmark.pair_process import Request
+from clalign.benchmark.performance import (
+    bytes_text,
+    exponent_text,
+    fitted_exponent,
+    seconds_text,
+    this_machine,
+)
+from clalign.benchmark.table import markdown_table
 from clalign.engine import Reference
 from clalign.errors import ClalignError
 from clalign.mesh.writing import save_mesh
@@ -66,8 +65,8 @@ def test_durations_have_a_unit(seconds: float, text: str) -> None:
 
 
 def test_bytes_and_tables() -> None:
-    assert [bytes_text(size) for size in (None, 5_000_000, 2_340_000_000)] == ["–", "5 MB", "2.34 GB"]
-    assert markdown_table(["a", "b"], [["x", "1"]]) == "| a | b |\n| --- | --: |\n| x | 1 |"
+    assert [bytes_text(size) for size in (None, 5_000_000, 2_340_000_000)] == ["–", "5 MiB", "2.2 GiB"]
+    assert markdown_table(["a", "b"], [["x", "1"]]) == "| a | b |\n|---|--:|\n| x | 1 |"
 
 
 def test_the_machine_names_what_computes() -> None:
@@ -155,6 +154,12 @@ def test_the_pair_table_sets_runs_beside_each_other() -> None:
     assert "| **total** | **4 s** | **10 s** |" in table
     assert "| processor time | 8 s | 20 s |" in table
     assert "| pyFM's time over it | 2.50× | 1.00× |" in table
+    short = pair_table([some_time("cold cache", 4.0, 3.0)], stages=False)
+    assert [line.split(" | ")[0][2:] for line in short.splitlines()[2:]] == [
+        "**total**",
+        "processor time",
+        "peak memory",
+    ]
 
 
 def test_the_scale_table_fits_every_stage() -> None:
@@ -170,9 +175,9 @@ def test_the_scale_table_fits_every_stage() -> None:
 
 
 def test_a_process_gives_times_memory_and_a_map(tmp_path) -> None:
-    problem = generated_pair(300)
+    pair = generated_pair(300)
     files = [str(tmp_path / name) for name in ("a.ply", "b.ply")]
-    for file, mesh in zip(files, (problem.source, problem.target), strict=True):
+    for file, mesh in zip(files, (pair.source, pair.target), strict=True):
         save_mesh(file, mesh.vertices, mesh.faces)
     options = Options().replace({**QUICK, "engine.backend": "reference"}).as_dict()
     request = Request(*files, "clalign", options, map=str(tmp_path / "map.npy"))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from clalign.benchmark import methods
+from clalign.benchmark.pairs import LoadedPair
 from clalign.cli.main import main
-from clalign.evaluation.pairs import Problem
 
 
 def test_command_draws_curves_of_a_benchmark(
@@ -54,5 +54,5 @@ class AllToOne:
     name: str
     settings: str = "all to one"
 
-    def __call__(self, problem: Problem) -> methods.Outcome:
-        return methods.Outcome(np.zeros(problem.source.file_count, dtype=np.int64), 0.1)
+    def __call__(self, pair: LoadedPair) -> methods.Outcome:
+        return methods.Outcome(np.zeros(pair.source.file_count, dtype=np.int64), 0.1)

@@ -25,29 +25,27 @@ def test_the_truth_of_every_change(eggs: Path, change: str) -> None:
         pytest.importorskip("fast_simplification")
     (layout,) = robustness(eggs, [change])
     assert [pair.name for pair in layout.pairs] == [f"ap0 {change}", f"ap1 {change}"]
-    problem = layout.pairs[1].load()
-    index = np.full(problem.source.file_count, -1)
-    index[problem.truth.source_points] = problem.truth.target_points
-    result = evaluate(
-        index, problem.truth, source=problem.source, target=problem.target, mirrored=problem.mirrored, points=1000
-    )
+    pair = layout.pairs[1].load()
+    index = np.full(pair.source.file_count, -1)
+    index[pair.truth.source_points] = pair.truth.target_points
+    result = evaluate(index, pair.truth, source=pair.source, target=pair.target, mirrored=pair.mirrored, points=1000)
     assert result.mean < 0.01
     assert result.flipped is False
     assert (result.mirrored_mean or 0) > 0.1
     assert result.points.size > (20 if change == "half" else 160)
-    assert np.mean(problem.truth.source_points == problem.truth.target_points) < 0.1
+    assert np.mean(pair.truth.source_points == pair.truth.target_points) < 0.1
     if change not in ("rotated", "times-1000", "times-0.001"):
-        places = problem.target.file_vertices()[problem.truth.target_points]
-        shift = places - problem.source.file_vertices()[problem.truth.source_points]
-        edge = np.sqrt(4 / np.sqrt(3) / problem.source.n_faces) * problem.source.scale
+        places = pair.target.file_vertices()[pair.truth.target_points]
+        shift = places - pair.source.file_vertices()[pair.truth.source_points]
+        edge = np.sqrt(4 / np.sqrt(3) / pair.source.n_faces) * pair.source.scale
         assert np.linalg.norm(shift, axis=1).mean() < 0.5 * edge
 
 
 def test_without_a_mirror_file_nothing_is_left_out(eggs: Path) -> None:
     (eggs / "mirror.txt").unlink()
-    problem = robustness(eggs, ["rotated"])[0].pairs[0].load()
-    assert problem.mirrored is None
-    assert problem.truth.count == 162
+    pair = robustness(eggs, ["rotated"])[0].pairs[0].load()
+    assert pair.mirrored is None
+    assert pair.truth.count == 162
 
 
 def test_bad_calls(eggs: Path, tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ import pytest
 from datasets import NearestMethod
 
 from clalign.alignment import alternation as rounds
-from clalign.benchmark.methods import AlignMethod, named_methods
-from clalign.benchmark.records import CURVES_FILE, RECORDS_FILE, Record, read_curves, read_records
+from clalign.benchmark.layouts import Layout, animals
+from clalign.benchmark.methods import AlignMethod
+from clalign.benchmark.records import RECORDS_FILE, Record, read_curves, read_records
 from clalign.benchmark.runner import Measurement, run
 from clalign.errors import OptionError, ResultError
 from clalign.evaluation.errors import THRESHOLDS
-from clalign.evaluation.layouts import Layout, animals
 from clalign.options import Options
 
 
@@ -47,13 +47,13 @@ def test_a_row_a_pair_and_method(layouts: tuple[Layout, ...], tmp_path: Path) ->
 
 def test_what_is_written_is_what_is_returned(layouts: tuple[Layout, ...], tmp_path: Path) -> None:
     finished = run(layouts, [NearestMethod()], tmp_path / "out")
-    stored = read_records(tmp_path / "out" / RECORDS_FILE)
+    stored = read_records(tmp_path / "out")
     assert [row.key for row in stored] == [row.key for row in finished.records]
     for ours, theirs in zip(finished.records, stored, strict=True):
         for field in dataclasses.fields(Record):
             value, read = getattr(ours, field.name), getattr(theirs, field.name)
             assert read == (pytest.approx(value, rel=1e-5) if isinstance(value, float) else value)
-    curves = read_curves(tmp_path / "out" / CURVES_FILE, "sqrt_area")
+    curves = read_curves(tmp_path / "out", "sqrt_area")
     curve = curves[finished.records[0].key]
     assert curve.shape == THRESHOLDS.shape
     assert curve[0] == pytest.approx(finished.records[0].exact, abs=1e-4)
@@ -98,7 +98,7 @@ def test_an_interrupted_run_goes_on(layouts: tuple[Layout, ...], tmp_path: Path)
     finished = run(layouts, [method], tmp_path / "out")
     assert log.read_text(encoding="ascii").splitlines() == ["egg1 egg2", "egg1 egg3", "egg2 egg3"]
     assert [row.status for row in finished.records] == ["ok"] * 3
-    assert len(read_records(file)) == 3
+    assert len(read_records(tmp_path / "out")) == 3
 
 
 @pytest.mark.filterwarnings("ignore::clalign.errors.ConfidenceWarning")
@@ -120,7 +120,7 @@ def test_a_match_that_was_cut_short_is_no_row(
     options = Options().replace({**quick, "spectrum.refinement": 16, "engine.backend": "reference"})
     with pytest.raises(KeyboardInterrupt):
         run(layouts, [AlignMethod("own", options)], tmp_path / "out")
-    assert [row.pair for row in read_records(tmp_path / "out" / RECORDS_FILE)] == ["egg1 egg2"]
+    assert [row.pair for row in read_records(tmp_path / "out")] == ["egg1 egg2"]
 
 
 def test_a_failing_pair_is_recorded_and_tried_again(layouts: tuple[Layout, ...], tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_a_failing_pair_is_recorded_and_tried_again(layouts: tuple[Layout, ...],
     assert finished.records[0].message == "egg2 is not to my taste"
     healed = run(layouts, [NearestMethod()], tmp_path / "out")
     assert [row.status for row in healed.records] == ["ok"] * 3
-    assert len(read_records(tmp_path / "out" / RECORDS_FILE)) == 4
+    assert len(read_records(tmp_path / "out")) == 4
 
 
 def test_a_broken_mesh_costs_its_pairs_only(layouts: tuple[Layout, ...], tmp_path: Path) -> None:
@@ -164,15 +164,3 @@ def test_bad_calls(layouts: tuple[Layout, ...], tmp_path: Path) -> None:
     (tmp_path / "out" / RECORDS_FILE).write_text("pair,error\na b,0.1\n", encoding="utf-8")
     with pytest.raises(ResultError, match="not written by this version"):
         run(layouts, [NearestMethod()], tmp_path / "out")
-
-
-def test_named_methods() -> None:
-    ours, fast, pyfm = named_methods(["default", "fast", "pyfm"], {"seed": 3, "spectrum.basis": "80"})
-    assert isinstance(ours, AlignMethod)
-    assert ours.options == Options().replace({"seed": 3, "spectrum.basis": 80})
-    assert len({ours.settings, fast.settings}) == 2
-    assert pyfm.name == "pyFM"
-    with pytest.raises(OptionError, match="unknown method 'best'"):
-        named_methods(["best"], {})
-    with pytest.raises(OptionError, match=r"spectrum\.size"):
-        named_methods(["default"], {"spectrum.size": 3})

@@ -9,9 +9,7 @@ import pytest
 from datasets import NearestMethod
 
 from clalign.benchmark import study
-from clalign.benchmark.methods import own_method
-from clalign.benchmark.study import STUDIES, is_base, methods_of, settings_of, study_table
-from clalign.benchmark.variants import VARIANT_LABELS
+from clalign.benchmark.study import STUDIES, is_base, methods_of, study_of, study_table
 from clalign.cli.main import main
 from clalign.errors import OptionError
 from clalign.options import Options
@@ -21,7 +19,7 @@ from clalign.options import Options
 @pytest.mark.parametrize("changes", [{}, {"alignment.weight": 77.0, "spectrum.xi": 0.33, "alignment.rounds": 4}])
 def test_every_study_has_the_base_and_different_rows(name: str, changes: dict[str, float]) -> None:
     base = Options().replace(changes)
-    settings = settings_of(name, base)
+    settings = study_of(name, base).settings
     methods = methods_of(settings, base)
     assert any(is_base(setting, base) for setting in settings)
     assert len({setting.label for setting in settings}) == len(settings)
@@ -32,14 +30,20 @@ def test_every_study_has_the_base_and_different_rows(name: str, changes: dict[st
 
 def test_unknown_study() -> None:
     with pytest.raises(OptionError, match="there are weight, band, xi, sizes, samples, rounds"):
-        settings_of("speed", Options())
+        study_of("speed", Options())
 
 
-@pytest.mark.parametrize("name", VARIANT_LABELS)
-def test_every_labelled_variant_is_a_method(name: str) -> None:
-    assert own_method(name, {"seed": 3}).options.seed == 3
-    with pytest.raises(OptionError, match="unknown option"):
-        own_method(name, {"seeds": 3})
+def test_any_option_can_be_varied() -> None:
+    base = Options()
+    study = study_of("alignment.decay=0.1, 0.2,0.5", base)
+    assert study.title == "alignment.decay"
+    assert [setting.label for setting in study.settings] == [f"alignment.decay = {value}" for value in (0.1, 0.2, 0.5)]
+    assert [is_base(setting, base) for setting in study.settings] == [False, True, False]
+    assert [method.options.alignment.decay for method in methods_of(study.settings, base)] == [0.1, 0.2, 0.5]
+    others = study_of("spectrum.metric=auto,euclidean", base).settings
+    assert [dict(row.changes) for row in others] == [{}, *({"spectrum.metric": m} for m in ("auto", "euclidean"))]
+    with pytest.raises(OptionError, match=r"unknown option 'alignment\.decays'"):
+        study_of("alignment.decays=1,2", base)
 
 
 def test_command_writes_one_table_a_study_and_marks_the_default(
@@ -87,8 +91,22 @@ def test_command_takes_the_layout_of_faust_and_a_section(
         assert "name either a folder in the layout of the humans, or with --root" in capsys.readouterr().err
 
 
+def test_command_varies_an_option(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study, "AlignMethod", lambda name, options: NearestMethod(name))
+    datasets.write_poses(tmp_path / "mid", ["ap0", "ap1"])
+    command = ["bench", "study", str(tmp_path / "mid"), "--out", str(tmp_path / "out"), "--quiet"]
+    assert main([*command, "--vary", "alignment.decay=0.1,0.2"]) == 0
+    table = (tmp_path / "out" / "study-alignment.decay.md").read_text(encoding="utf-8").splitlines()
+    labels = [row.split(" | ")[0] for row in table[2:]]
+    assert labels == ["| alignment.decay = 0.1", "| **alignment.decay = 0.2** (default)"]
+    assert main(command) == 2
+    assert "--vary OPTION=VALUES" in capsys.readouterr().err
+
+
 def test_table_repeats_the_base_for_each_of_its_rows() -> None:
     base = Options()
-    settings = settings_of("samples", base)
+    settings = study_of("samples", base).settings
     assert sum(is_base(setting, base) for setting in settings) == 2
     assert study_table("title", settings, [], base).count("\n") == 1

@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from clalign.benchmark.records import Record, failed_record
-from clalign.benchmark.table import as_json, failures, markdown, mean_curve, replace_section, summarise, update_file
+from clalign.benchmark.table import (
+    SHORT_COLUMNS,
+    as_json,
+    failures,
+    markdown,
+    mean_curve,
+    replace_section,
+    summarise,
+    update_file,
+)
 from clalign.errors import ResultError
 from clalign.evaluation.errors import THRESHOLDS
 
@@ -20,7 +29,7 @@ ROWS = [
     row("a b", 0.004),
     row("a c", 0.006),
     row("a d", 0.5, flipped=True),
-    failed_record(("suite", "a e", "ours", "s"), "no  such\nmesh"),
+    failed_record(("suite", "a e", "ours", "s"), "no such mesh"),
     row("a b", 0.01, method="pyFM", flipped=None),
 ]
 
@@ -40,6 +49,12 @@ def test_markdown_prints_errors_times_hundred() -> None:
     assert len({line.count("|") for line in lines}) == 1
     assert "| suite | ours | 4 (1 failed) | 17.000 | 0.600 | 50.00 (a d) | 1 | 50.0 % |" in lines[2]
     assert "| pyFM | 1 | 1.000 | 1.000 | 1.00 (a b) | – |" in lines[3]
+
+
+def test_a_short_table_has_the_cells_of_the_long_one() -> None:
+    lines = markdown(summarise(ROWS), SHORT_COLUMNS).splitlines()
+    assert lines[1] == "|---|---|--:|--:|--:|--:|--:|--:|"
+    assert lines[2] == "| suite | ours | 4 (1 failed) | 17.000 | 50.00 (a d) | 1 | 50.0 % | 2.0 |"
 
 
 def test_a_suite_that_failed_wholly_has_a_row() -> None:
@@ -73,6 +88,18 @@ def test_only_the_marked_section_changes(tmp_path: Path) -> None:
     readme.write_text(text, encoding="utf-8")
     update_file(readme, "two", "x")
     assert readme.read_text(encoding="utf-8") == text.replace("table:two -->\n<", "table:two -->\nx\n<")
+
+
+def test_pages_take_the_table_the_short_one_or_both(tmp_path: Path) -> None:
+    page, long, short = tmp_path / "page.md", "<!-- table:a -->\n<!-- /table:a -->\n", "<!-- table:a-short -->\n"
+    for text, shown in ((long, "xx"), (f"{short}<!-- /table:a-short -->\n", "y"), (f"{long}{short}", None)):
+        page.write_text(text, encoding="utf-8")
+        if shown is None:
+            with pytest.raises(ResultError, match="/table:a-short"):
+                update_file(page, "a", "xx", "y")
+            continue
+        update_file(page, "a", "xx", "y")
+        assert page.read_text(encoding="utf-8") == text.replace("-->\n<!-- /", f"-->\n{shown}\n<!-- /")
 
 
 @pytest.mark.parametrize(

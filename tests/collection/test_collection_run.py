@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import clalign
 from clalign.collection.result import Collection
-from clalign.collection.rows import PairRow, read_rows
+from clalign.collection.rows import PairRow, pair_rows
 from clalign.collection.run import match_collection
 from clalign.errors import OptionError, ResultError
 
@@ -82,7 +82,7 @@ def started(folder: Path, out: Path, *extra: str) -> subprocess.Popen[bytes]:
 
 
 def finished_pairs(out: Path) -> list[PairRow]:
-    return [row for row in read_rows(PairRow, out) if row.ok] if out.is_dir() else []
+    return [row for row in pair_rows(out).read() if row.ok] if out.is_dir() else []
 
 
 def test_every_pair_is_matched_and_recorded(whole: Collection, folder: Path, numbers: Numbers) -> None:
@@ -99,7 +99,7 @@ def test_every_pair_is_matched_and_recorded(whole: Collection, folder: Path, num
         assert row.cycle_error is not None
         assert row.cycle_error < 0.5
         assert row.total is not None
-    assert Collection.load(whole.folder).pairs == tuple(read_rows(PairRow, whole.folder))
+    assert Collection.load(whole.folder).pairs == tuple(pair_rows(whole.folder).read())
 
 
 def test_a_mesh_that_fails_is_named_and_its_pairs_are_skipped(whole: Collection) -> None:
@@ -177,7 +177,7 @@ def test_killed_worker_costs_its_running_pair_only(folder: Path, numbers: Number
     assert process.wait(timeout=LIMIT) == 0
     done = Collection.load(out)
     assert sum(row.ok for row in done.pairs) == PAIRS
-    assert len(read_rows(PairRow, out)) == PAIRS
+    assert len(pair_rows(out).read()) == PAIRS
     workers = {row.worker for row in done.pairs}
     assert len(workers) > 1
     for row in done.pairs:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from collections_small import OPTIONS, write_shapes
 
-from clalign.collection.forecast import check_disk, forecast, shape_bytes, size_text, workers_that_fit
+from clalign.collection.forecast import check_disk, forecast, shape_bytes, workers_that_fit
 from clalign.collection.members import Member, read_members
-from clalign.collection.rows import PairRow, ShapeRow, append_row, read_rows, write_rows
+from clalign.collection.rows import PairRow, ShapeRow, pair_rows, shape_rows
 from clalign.collection.store import PairMaps, Store, pair_key
 from clalign.errors import MemoryBudgetError, OptionError, ResultError
 from clalign.options import Options
@@ -25,28 +25,13 @@ def maps(rng: np.random.Generator) -> PairMaps:
 
 def test_rows_survive_the_file(tmp_path: Path) -> None:
     other = PairRow("a", "c", status="failed", message="why")
-    append_row(ROW, tmp_path)
-    append_row(other, tmp_path)
-    assert read_rows(PairRow, tmp_path) == [replace(ROW, warnings='two lines, a comma and a "quote"'), other]
+    index = pair_rows(tmp_path)
+    index.append(ROW)
+    index.append(other)
+    assert index.read() == [replace(ROW, warnings='two lines, a comma and a "quote"'), other]
     shape = ShapeRow("a", "/a.off", vertices=12, seconds=0.5, eigenvalues=(1.0, 2.0))
-    write_rows(ShapeRow, [shape], tmp_path)
-    assert read_rows(ShapeRow, tmp_path) == [replace(shape, eigenvalues=())]
-    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
-
-
-def test_a_line_that_was_cut_short_costs_only_itself(tmp_path: Path) -> None:
-    append_row(ROW, tmp_path)
-    append_row(replace(ROW, target="c"), tmp_path)
-    path = tmp_path / PairRow.FILE
-    path.write_bytes(path.read_bytes()[:-7])
-    append_row(replace(ROW, target="d"), tmp_path)
-    assert [row.target for row in read_rows(PairRow, tmp_path)] == ["b", "d"]
-
-
-def test_index_of_another_kind_is_refused(tmp_path: Path) -> None:
-    (tmp_path / PairRow.FILE).write_text("x,y\n1,2\n")
-    with pytest.raises(ResultError, match="not written by this version"):
-        read_rows(PairRow, tmp_path)
+    shape_rows(tmp_path).write([shape])
+    assert shape_rows(tmp_path).read() == [replace(shape, eigenvalues=())]
 
 
 def test_pair_is_finished_only_under_its_key(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -132,5 +117,3 @@ def test_too_little_disk_or_memory_is_said_before_the_work(tmp_path: Path) -> No
         workers_that_fit(1e15, 2, 4)
     assert workers_that_fit(1.0, None, 4) == 4
     assert workers_that_fit(1.0, 7, 4) == 7
-    assert size_text(999) == "999 bytes"
-    assert size_text(18.5e6) == "18.5 MB"

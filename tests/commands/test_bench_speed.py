@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from quick import QUICK
 
-from clalign.benchmark import performance_losses as losses
-from clalign.benchmark.performance_pair import ScaleTime
+from clalign.benchmark import losses
+from clalign.benchmark.pair import ScaleTime
 from clalign.cli.bench.scale import parsed_sizes
 from clalign.cli.main import main
 from clalign.errors import OptionError

@@ -10,6 +10,7 @@ import pytest
 
 from clalign.cli.main import main
 from clalign.geometry.cache import ShapeCache, content_key
+from clalign.storage.files import size_text
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def test_info_and_clear(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert info["entries"] == 3
     assert 240_000 <= info["bytes"] < 250_000
     assert main(["cache", "info"]) == 0
-    assert f"{folder}: 3 entries, 0.2 MiB of at most 2048.0 MiB" in capsys.readouterr().out
+    assert f"{folder}: 3 entries, {size_text(info['bytes'])} of at most 2.0 GiB" in capsys.readouterr().out
     assert main(["cache", "clear"]) == 0
     assert "removed 3 entries" in capsys.readouterr().out
     assert [path.name for path in folder.iterdir()] == ["thesis.npz"]

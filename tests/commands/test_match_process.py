@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from clalign.correspondence import Correspondence
-from clalign.storage import recover
+from clalign.storage.folders import recover
 
 PROGRAM = [sys.executable, "-m", "clalign.cli.main"]
 ENDLESS = """

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import shapes
 
+from clalign.benchmark.perturb import renumber
 from clalign.errors import ResultError
 from clalign.evaluation.distances import Distances
 from clalign.evaluation.errors import THRESHOLDS, area_under_curve, error_curve, evaluate
-from clalign.evaluation.perturb import renumber
 from clalign.evaluation.truth import Truth
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
 

@@ -5,9 +5,11 @@ from pathlib import Path
 import datasets
 import numpy as np
 import pytest
+import shapes
 
 from clalign.errors import ResultError
-from clalign.evaluation.truth import Truth, read_index, read_index_truth, read_mirror, read_pair_truth
+from clalign.evaluation.truth import Truth, read_index, read_index_truth, read_mirror, read_pair_truth, true_maps
+from clalign.mesh.mesh import mesh_from_arrays
 
 
 def test_the_same_map_is_read_from_both_bases(tmp_path: Path) -> None:
@@ -127,3 +129,17 @@ def test_truth_cannot_be_changed() -> None:
     truth = Truth.identity(3)
     with pytest.raises(ValueError, match="read-only"):
         truth.source_points[0] = 1
+
+
+def test_gaps_of_the_truth_are_filled_from_beside() -> None:
+    mesh = mesh_from_arrays(*shapes.icosphere(3), "sphere")
+    every_other = np.arange(0, mesh.n_vertices, 2)
+    maps = true_maps(mesh, mesh, Truth(every_other, every_other))
+    backward = maps.source_of_target
+    np.testing.assert_array_equal(backward[every_other], every_other)
+    shift = np.linalg.norm(mesh.vertices[backward] - mesh.vertices, axis=1)
+    edge = np.linalg.norm(mesh.vertices[mesh.faces[:, 0]] - mesh.vertices[mesh.faces[:, 1]], axis=1).max()
+    assert shift.max() < 2 * edge
+    np.testing.assert_array_equal(maps.target_of_source, backward)
+    with pytest.raises(ResultError, match="no point on both"):
+        true_maps(mesh, mesh, Truth(np.array([], dtype=int), np.array([], dtype=int)))

@@ -120,7 +120,7 @@ def test_a_second_interrupt_gives_up(match: Run, tmp_path: Path, monkeypatch: py
     "place",
     [
         "clalign.correspondence.write_map",
-        "clalign.storage._flush",
+        "clalign.storage.folders._flush",
         "clalign.presentation.picture.match_image",
         "clalign.presentation.report.page._page",
     ],

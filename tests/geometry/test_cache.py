@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from clalign.geometry import cache as cache_module
-from clalign.geometry.cache import ShapeCache, content_key, default_folder
+from clalign.geometry.cache import ShapeCache, content_key
+from clalign.storage.files import cache_folder
 
 A, B, C, D = (content_key("test", {}, {"name": name}) for name in "abcd")
 
@@ -203,6 +204,7 @@ RACER = """
 import sys
 import numpy as np
 from clalign.geometry.cache import ShapeCache, content_key
+from clalign.storage.files import cache_folder
 cache = ShapeCache(sys.argv[1], limit_bytes=400_000)
 def whole(number, found):
     return found is not None and found["values"].shape == (20_000,) and bool((found["values"] == number).all())
@@ -267,4 +269,4 @@ def test_folder_from_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert ShapeCache().folder == tmp_path
     monkeypatch.delenv("CLALIGN_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    assert "clalign" in default_folder().name
+    assert "clalign" in cache_folder().name

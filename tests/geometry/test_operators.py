@@ -10,6 +10,7 @@ import shapes
 from clalign.errors import InputError
 from clalign.geometry import operators
 from clalign.geometry.spectra import Spectrum, solve
+from clalign.mesh.topology import face_areas
 from clalign.options import SpectrumOptions
 
 SURFACES = {
@@ -42,7 +43,7 @@ def test_stiffness_is_the_dirichlet_energy(name: str, rng: np.random.Generator) 
     rises = np.stack([at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]], axis=1)
     metric = edges @ edges.transpose(0, 2, 1)
     squared = np.einsum("fi,fi->f", rises, np.linalg.solve(metric, rises[:, :, None])[:, :, 0])
-    energy = operators.face_areas(vertices, faces) @ squared
+    energy = face_areas(vertices, faces) @ squared
     matrix = operators.stiffness(vertices, faces)
     assert values @ (matrix @ values) == pytest.approx(energy, rel=1e-12)
     assert np.abs(matrix.sum(axis=1)).max() < 1e-12
@@ -73,13 +74,6 @@ def test_mean_curvature_changes_sign_with_the_orientation() -> None:
     mass = operators.lumped_mass(vertices, faces)
     outward = operators.mean_curvature(vertices, faces, mass)
     np.testing.assert_allclose(operators.mean_curvature(vertices, faces[:, ::-1], mass), -outward, rtol=1e-9, atol=1e-9)
-
-
-def test_boundary_vertices() -> None:
-    vertices, faces = analytic.rectangle(6, 5, 1.0, 1.0)
-    on_rim = (np.isin(vertices[:, 0], (0.0, 1.0))) | (np.isin(vertices[:, 1], (0.0, 1.0)))
-    np.testing.assert_array_equal(operators.boundary_vertices(faces, len(vertices)), on_rim)
-    assert not operators.boundary_vertices(analytic.sphere(1)[1], 42).any()
 
 
 def test_slivers_leave_everything_finite_and_the_stiffness_positive() -> None:

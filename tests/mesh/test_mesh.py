@@ -8,7 +8,7 @@ import shapes
 import trimesh
 
 from clalign.errors import MeshError
-from clalign.mesh import topology as topology
+from clalign.mesh import topology
 from clalign.mesh.mesh import Mesh, as_mesh, mesh_from_arrays
 
 
@@ -66,9 +66,36 @@ def test_dropped_vertices_keep_the_numbers_of_the_others() -> None:
     mesh = mesh_from_arrays(spread, place[faces])
     assert (mesh.n_vertices, mesh.file_count) == (n, 2 * n)
     np.testing.assert_array_equal(mesh.file_index, place)
+    np.testing.assert_array_equal(mesh.vertex_of_file(), np.where(np.arange(2 * n) % 2, np.arange(2 * n) // 2, -1))
+    np.testing.assert_array_equal(mesh.file_faces, place[faces])
     assert mesh.notes == (
         f"{n} vertices are in no face (vertices 0, 2, 4, 6, 8, …): left out, without a match (-1 in the maps)",
     )
+
+
+def test_values_and_maps_go_to_the_file_and_back() -> None:
+    vertices, faces = shapes.bumpy_sphere(2)
+    n = len(vertices)
+    plain = mesh_from_arrays(vertices, faces)
+    spread = mesh_from_arrays(np.concatenate([np.full((3, 3), 7.0), vertices]), faces + 3)
+    np.testing.assert_array_equal(spread.file_index, np.arange(n) + 3)
+    values = np.arange(2.0 * n).reshape(n, 2)
+    on_file = spread.to_file(values, np.nan)
+    assert np.isnan(on_file[:3]).all()
+    np.testing.assert_array_equal(spread.from_file(on_file), values)
+    np.testing.assert_allclose(spread.file_positions()[:3], np.tile(spread.offset, (3, 1)))
+    np.testing.assert_allclose(spread.file_positions()[3:], vertices, atol=1e-12)
+
+    matches = np.random.default_rng(3).permutation(n)
+    forward = spread.map_to_file(plain, matches)
+    np.testing.assert_array_equal(forward, [-1, -1, -1, *matches])
+    backward = plain.map_to_file(spread, matches)
+    np.testing.assert_array_equal(backward, matches + 3)
+    np.testing.assert_array_equal(spread.map_from_file(plain, forward), matches)
+    np.testing.assert_array_equal(plain.map_from_file(spread, backward), matches)
+    # No match, and a vertex of the other file that is off its surface, are both no match here.
+    backward[:2] = -1, 1
+    np.testing.assert_array_equal(plain.map_from_file(spread, backward)[:3], [-1, -1, matches[2]])
 
 
 def test_as_mesh_takes_every_form() -> None:

@@ -98,7 +98,7 @@ def test_repair_keeps_the_body_when_it_cuts_the_fin() -> None:
 def finned(body: malformed.Arrays) -> malformed.Arrays:
     """A body with a small fin on every edge."""
     vertices, faces = body
-    edges = topology.unique_edges(faces)
+    edges = topology.edge_table(faces, len(vertices)).edges
     fins = np.column_stack([edges, len(vertices) + np.arange(len(edges))])
     return np.concatenate([vertices, 1.1 * vertices[edges].mean(axis=1)]), np.concatenate([faces, fins])
 

@@ -19,9 +19,9 @@ from clalign.collection.rows import PairRow, ShapeRow
 from clalign.collection.store import PairMaps, Store
 from clalign.presentation.camera import front_view
 from clalign.presentation.collection_page import matrix, write_collection_page
-from clalign.presentation.collection_page.carried import portraits
 from clalign.presentation.collection_page.matrix import MEASURES
-from clalign.presentation.colours import position_colours
+from clalign.presentation.collection_page.pictures import shape_pictures
+from clalign.transfer.colours import position_colours
 
 
 class Page(HTMLParser):
@@ -120,9 +120,9 @@ def test_colours_are_carried_by_the_maps(collection: Collection, monkeypatch: py
     monkeypatch.setattr(carried, "draw_row", record)
     chain = [row for row in collection.pairs if (row.source, row.target) in (("s0", "s1"), ("s1", "s2"))]
     part = replace(collection, pairs=tuple(chain))
-    drawn = list(portraits(part))
-    assert [portrait.name for portrait in drawn] == ["s1", "s0", "s2", "s3"]
-    assert [portrait.way for portrait in drawn] == [(), ("s1",), ("s1",), ()]
+    drawn = list(shape_pictures(part))
+    assert [picture.name for picture in drawn] == ["s1", "s0", "s2", "s3"]
+    assert [picture.way for picture in drawn] == [(), ("s1",), ("s1",), ()]
     maps = collection.maps("s0", "s2")
     np.testing.assert_allclose(painted[1], painted[2][maps.target_of_source])
     assert np.ptp(painted[3]) == 0.0

@@ -14,8 +14,7 @@ from clalign.correspondence import Correspondence
 from clalign.errors import InputError, ResultError
 from clalign.mesh.mesh import load_mesh
 from clalign.mesh.writing import save_mesh
-from clalign.presentation.exports import file_positions, write_textured_obj
-from clalign.presentation.texture import Texture, read_texture
+from clalign.transfer.texture import Texture, read_texture, write_textured_obj
 
 Run = Callable[..., int]
 
@@ -69,8 +68,8 @@ def test_colours_become_a_coloured_mesh(run: Run, small: Correspondence, result:
 
 
 def test_deformation_becomes_a_mesh(run: Run, small: Correspondence, result: Path, tmp_path: Path) -> None:
-    faces = small.source.file_index[small.source.faces]
-    save_mesh(tmp_path / "moved.ply", 2 * file_positions(small.source), faces)
+    faces = small.source.file_faces
+    save_mesh(tmp_path / "moved.ply", 2 * small.source.file_positions(), faces)
     assert run("transfer", result, "deformation", tmp_path / "moved.ply", "--out", tmp_path / "out.off") == 0
     moved = load_mesh(tmp_path / "out.off")
     assert moved.file_count == 643
@@ -79,8 +78,8 @@ def test_deformation_becomes_a_mesh(run: Run, small: Correspondence, result: Pat
 
 def test_texture_becomes_an_obj(run: Run, small: Correspondence, result: Path, tmp_path: Path) -> None:
     source = small.source
-    texture = Texture(source.vertices[:, :2], source.faces.astype(np.int64), source.file_index[source.faces])
-    write_textured_obj(tmp_path / "in.obj", file_positions(source), texture)
+    texture = Texture(source.vertices[:, :2], source.faces.astype(np.int64), source.file_faces)
+    write_textured_obj(tmp_path / "in.obj", source.file_positions(), texture)
     assert run("transfer", result, "texture", tmp_path / "in.obj", "--out", tmp_path / "out.obj") == 0
     assert len(read_texture(tmp_path / "out.obj").faces) == small.target.n_faces
     with pytest.raises(InputError, match=r"\.obj"):

@@ -12,7 +12,7 @@ from clalign.correspondence import Correspondence
 from clalign.evaluation.truth import read_pair_truth
 from clalign.mesh.mesh import load_mesh, mesh_from_arrays
 from clalign.presentation import exports
-from clalign.presentation.texture import read_texture
+from clalign.transfer.texture import read_texture
 
 
 @pytest.fixture(scope="module")

@@ -12,14 +12,15 @@ import pytest
 from numpy.typing import NDArray
 
 from clalign.alignment.band import band_mask, funnel_band
-from clalign.benchmark import variants
+from clalign.benchmark import methods
+from clalign.benchmark.pairs import LoadedPair
 from clalign.cli.main import main
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError, OptionError
 from clalign.evaluation.errors import THRESHOLDS
-from clalign.evaluation.pairs import Problem
-from clalign.evaluation.spectral import TrueMaps, spectral_errors, true_maps
-from clalign.evaluation.truth import Truth
+from clalign.evaluation.spectral import spectral_errors
+from clalign.evaluation.truth import Truth, true_maps
+from clalign.maps.functional_maps import PointMaps
 from clalign.options import Options
 from clalign.presentation.figures.eigenfunctions import draw_eigenfunctions, draw_pair_rotation, draw_variants
 from clalign.presentation.figures.gallery import PLANS
@@ -32,9 +33,9 @@ LOW = 50
 
 
 @pytest.fixture
-def maps(small: Correspondence) -> TrueMaps:
+def maps(small: Correspondence) -> PointMaps:
     """The fabricated result's maps are true."""
-    return true_maps(small, Truth.from_index(small.target_of_source))
+    return true_maps(small.source, small.target, Truth.from_index(small.target_of_source))
 
 
 def saved(drawing: Drawing, folder: Path) -> tuple[list[dict[str, str]], tuple[int, int]]:
@@ -97,7 +98,7 @@ def test_opposite_functions_get_opposite_colours(small: Correspondence) -> None:
     assert (np.sign(red[0]) * np.sign(red[1]) <= 0).mean() > 0.9
 
 
-def test_figure_1_has_a_panel_a_function_and_its_error(small: Correspondence, maps: TrueMaps, tmp_path: Path) -> None:
+def test_figure_1_has_a_panel_a_function_and_its_error(small: Correspondence, maps: PointMaps, tmp_path: Path) -> None:
     rows, size = saved(draw_eigenfunctions(small, maps, (2, 3, 12, 40), LOW), tmp_path)
     assert [row["eigenfunction"] for row in rows] == ["2", "3", "12"]
     errors = spectral_errors(small, maps)
@@ -113,7 +114,7 @@ def test_figure_1_has_a_panel_a_function_and_its_error(small: Correspondence, ma
     assert size[1] > 4 * LOW
 
 
-def test_figure_2_names_the_pair_and_its_turn(small: Correspondence, maps: TrueMaps, tmp_path: Path) -> None:
+def test_figure_2_names_the_pair_and_its_turn(small: Correspondence, maps: PointMaps, tmp_path: Path) -> None:
     rows, _ = saved(draw_pair_rotation(small, maps, 3, LOW), tmp_path)
     assert [(row["first"], row["second"]) for row in rows] == [("3", "4")] * 2
     true, found = (float(row["degrees"]) for row in rows)
@@ -124,7 +125,7 @@ def test_figure_2_names_the_pair_and_its_turn(small: Correspondence, maps: TrueM
         draw_pair_rotation(small, maps, 16)
 
 
-def test_figure_3_measures_the_funnel(small: Correspondence, maps: TrueMaps, tmp_path: Path) -> None:
+def test_figure_3_measures_the_funnel(small: Correspondence, maps: PointMaps, tmp_path: Path) -> None:
     rows, _ = saved(draw_funnel(small, maps), tmp_path)
     mask = band_mask(funnel_band(len(small.rotation), small.options.alignment))
     assert len(rows) == len(mask)
@@ -134,7 +135,7 @@ def test_figure_3_measures_the_funnel(small: Correspondence, maps: TrueMaps, tmp
         assert 0.3 < float(row["inside_true"]) <= 1.0 + 1e-9
 
 
-def test_figure_8_and_9_compare_variants(small: Correspondence, maps: TrueMaps, tmp_path: Path) -> None:
+def test_figure_8_and_9_compare_variants(small: Correspondence, maps: PointMaps, tmp_path: Path) -> None:
     worse = replace(small, rotation=np.eye(len(small.rotation)))
     rows, _ = saved(draw_variants({"good": small, "none": worse}, maps, 4, LOW), tmp_path)
     assert [row["variant"] for row in rows] == ["unaligned", "good", "none"]
@@ -169,7 +170,7 @@ class Stub:
     name: str
     result: Correspondence
 
-    def correspondence(self, problem: Problem, cache: object = None, progress: object = None) -> Correspondence:
+    def correspondence(self, pair: LoadedPair, cache: object = None, progress: object = None) -> Correspondence:
         if self.name == "mirrored":
             return replace(self.result, target_of_source=np.roll(self.result.target_of_source, 1))
         return self.result
@@ -182,7 +183,7 @@ def folder(small: Correspondence, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     truth: NDArray[np.int64] = small.target_of_source
     np.savetxt(tmp_path / "truth.txt", truth, fmt="%d")
     np.savetxt(tmp_path / "mirror.txt", np.arange(np.count_nonzero(truth >= 0)), fmt="%d")
-    monkeypatch.setattr(variants, "own_method", lambda name, changes: Stub(name, small))
+    monkeypatch.setattr(methods, "align_method", lambda name, changes: Stub(name, small))
     return tmp_path
 
 

@@ -7,6 +7,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+from clalign.cli.bench.common import add_option_arguments, add_output_arguments, option_changes
 from clalign.cli.terminal import Terminal
 
 _DESCRIPTION = """\
@@ -37,15 +38,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--runs", metavar="NAMES", default="one,two,scheduler,star", help="also: tree (default: %(default)s)"
     )
-    parser.add_argument("--preset", metavar="NAME", default="default", help="as of 'clalign match'")
-    parser.add_argument("--set", metavar="GROUP.NAME=VALUE", action="append", default=[], dest="changes")
+    add_option_arguments(parser)
     parser.add_argument("--points", metavar="N", type=int, default=500, help="points measured a pair")
-    parser.add_argument(
-        "--update", metavar="FILE", type=Path, help="put the tables into the section of FILE named below"
-    )
-    parser.add_argument("--section", metavar="NAME", default="collection", help="of <!-- table:NAME -->")
-    parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
-    parser.add_argument("--json", action="store_true", help="print the summary as one JSON document")
+    add_output_arguments(parser, "collection")
     parser.set_defaults(run=run)
 
 
@@ -55,8 +50,7 @@ def run(args: argparse.Namespace) -> int:
     from clalign.benchmark.table import update_file
     from clalign.options import Options
 
-    changes = dict(change.partition("=")[::2] for change in args.changes)
-    options = Options.preset(args.preset).replace(changes)
+    options = Options.preset(args.preset).replace(option_changes(args))
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
     args.out.mkdir(parents=True, exist_ok=True)
     times, errors, differing, first, failures = [], [], {}, None, 0
@@ -88,6 +82,6 @@ def run(args: argparse.Namespace) -> int:
     terminal.say(text)
     terminal.say("errors: mean geodesic error of each map x 100 / sqrt(area)")
     terminal.document(document)
-    if args.update is not None:
-        update_file(args.update, args.section, text)
+    for page in args.update:
+        update_file(page, args.section, text)
     return 1 if any(differing.values()) or failures else 0

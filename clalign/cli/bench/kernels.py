@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clalign.cli.bench.output import add_output_arguments, deliver
+from clalign.cli.bench.common import add_output_arguments, deliver
 from clalign.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from clalign.benchmark.microbench import KernelRate
-    from clalign.benchmark.performance_kernels import SpectraTimes
-    from clalign.benchmark.performance_losses import LossTimes
+    from clalign.benchmark.kernels import KernelRate, SpectraTimes
+    from clalign.benchmark.losses import LossTimes
     from clalign.engine.kernels import Kernels
 
 _DESCRIPTION = """\
@@ -36,6 +36,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--parts", metavar="NAMES", default=",".join(PARTS), help="comma-separated (default: all)")
     parser.add_argument("--device", metavar="SPEC", default="", help="as of 'clalign match'")
     parser.add_argument("--repeat", metavar="N", type=int, default=5, help="the best of N counts (default: 5)")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="write the JSON document to FILE")
     add_output_arguments(parser, "kernels")
     parser.set_defaults(run=run)
 
@@ -44,9 +45,9 @@ def run(args: argparse.Namespace) -> int:
     """Measure what was asked for and show it."""
     from dataclasses import asdict
 
+    from clalign.benchmark.kernels import kernel_table, spectra_table
+    from clalign.benchmark.losses import loss_table
     from clalign.benchmark.performance import this_machine
-    from clalign.benchmark.performance_kernels import kernel_table, spectra_table
-    from clalign.benchmark.performance_losses import loss_table
     from clalign.engine.kernels import open_kernels
     from clalign.errors import OptionError
     from clalign.options import EngineOptions
@@ -77,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _kernel_rates(kernels: Kernels, args: argparse.Namespace, terminal: Terminal) -> list[KernelRate]:
-    from clalign.benchmark.microbench import SIZES, measure_kernels
+    from clalign.benchmark.kernels import SIZES, measure_kernels
 
     rates = []
     for rate in measure_kernels(kernels, SIZES[:1] if args.quick else SIZES, args.repeat):
@@ -87,7 +88,7 @@ def _kernel_rates(kernels: Kernels, args: argparse.Namespace, terminal: Terminal
 
 
 def _loss_times(kernels: Kernels, args: argparse.Namespace, terminal: Terminal) -> LossTimes:
-    from clalign.benchmark import performance_losses as losses
+    from clalign.benchmark import losses
 
     terminal.note("value and gradient of the objective")
     if args.quick:
@@ -96,7 +97,7 @@ def _loss_times(kernels: Kernels, args: argparse.Namespace, terminal: Terminal) 
 
 
 def _spectra_times(args: argparse.Namespace, terminal: Terminal) -> SpectraTimes:
-    from clalign.benchmark.performance_kernels import measure_spectra
+    from clalign.benchmark.kernels import measure_spectra
     from clalign.data import bundled_pair
     from clalign.mesh.mesh import load_mesh
 

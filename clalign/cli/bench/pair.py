@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from clalign.cli.bench.accuracy import option_changes
-from clalign.cli.bench.output import add_output_arguments, deliver
+from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver, option_changes
 from clalign.cli.terminal import Terminal
 
 _DESCRIPTION = """\
@@ -29,27 +28,18 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--peer", choices=["pyfm"], help="let pyFM match the pair in the same rounds")
     parser.add_argument("--repeat", metavar="N", type=int, default=3, help="rounds; the median counts (default: 3)")
     add_option_arguments(parser)
+    parser.add_argument("--out", metavar="FILE", type=Path, help="write the JSON document to FILE")
     add_output_arguments(parser, "pair")
     parser.set_defaults(run=run)
-
-
-def add_option_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add ``--preset``, ``--set``, ``--device`` and ``--seed``."""
-    parser.add_argument("--preset", metavar="NAME", default="default", help="'default', 'fast' or 'paper'")
-    parser.add_argument(
-        "--set", metavar="GROUP.NAME=VALUE", action="append", default=[], dest="changes", help="change an option"
-    )
-    parser.add_argument("--device", metavar="SPEC", help="as of 'clalign match'")
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="seed of everything that is drawn")
 
 
 def run(args: argparse.Namespace) -> int:
     """Time the pair and show the table."""
     from dataclasses import asdict
 
+    from clalign.benchmark.pair import measure_pair, pair_table
     from clalign.benchmark.peers import PyfmMethod
     from clalign.benchmark.performance import bytes_text, this_machine
-    from clalign.benchmark.performance_pair import measure_pair, pair_table
     from clalign.data import bundled_pair
     from clalign.errors import OptionError
     from clalign.mesh.mesh import load_mesh
@@ -82,5 +72,6 @@ def run(args: argparse.Namespace) -> int:
         "options": options.as_dict(),
         "runs": [asdict(one) for one in times],
     }
-    deliver({heading: pair_table(times)}, document, machine, args, terminal)
+    short = f"{heading}\n\n{pair_table(times, stages=False)}"
+    deliver({heading: pair_table(times)}, document, machine, args, terminal, short)
     return 0

@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from clalign.cli.bench.accuracy import option_changes
-from clalign.cli.bench.output import add_output_arguments, deliver
-from clalign.cli.bench.pair import add_option_arguments
+from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver, option_changes
 from clalign.cli.terminal import Terminal
 
 SIZES = "5000,10000,20000,50000,100000,200000"
@@ -36,6 +34,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--plot", metavar="FILE", type=Path, help="draw the times into a PNG, SVG or PDF file")
     add_option_arguments(parser)
+    parser.add_argument("--out", metavar="FILE", type=Path, help="write the JSON document to FILE")
     add_output_arguments(parser, "scale")
     parser.set_defaults(run=run)
 
@@ -44,8 +43,8 @@ def run(args: argparse.Namespace) -> int:
     """Time all sizes and show the table."""
     from dataclasses import asdict
 
+    from clalign.benchmark.pair import measure_scale, scale_table, stage_exponents
     from clalign.benchmark.performance import bytes_text, this_machine
-    from clalign.benchmark.performance_pair import measure_scale, scale_table, stage_exponents
     from clalign.options import Options
     from clalign.presentation.performance_plot import save_scale_plot
 

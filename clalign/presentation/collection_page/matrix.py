@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from clalign.collection.result import Collection
 from clalign.collection.rows import PairRow
-from clalign.presentation.colours import RAMPS, amount_colours
 from clalign.presentation.raster import png_bytes
+from clalign.transfer.colours import RAMPS, amount_colours
 
 PAGE_FILE = "report.html"
 MOST_CELLS = 100

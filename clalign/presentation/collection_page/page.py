@@ -9,8 +9,8 @@ from urllib.parse import quote
 from clalign.collection.result import Collection
 from clalign.collection.rows import PairRow
 from clalign.correspondence import Correspondence
-from clalign.presentation.collection_page.carried import portraits
 from clalign.presentation.collection_page.matrix import PAGE_FILE, legends, matrix, page_link, switches
+from clalign.presentation.collection_page.pictures import shape_pictures
 from clalign.presentation.html_page import file_text, fill, head, write_page
 from clalign.presentation.raster import write_png
 from clalign.presentation.report import write_report
@@ -61,9 +61,9 @@ def _draw_all(collection: Collection, folder: Path) -> dict[str, tuple[str, ...]
     place = folder / PICTURE_FOLDER
     place.mkdir(exist_ok=True)
     ways = {}
-    for portrait in portraits(collection):
-        write_png(place / f"{portrait.name}.png", portrait.image)
-        ways[portrait.name] = portrait.way
+    for picture in shape_pictures(collection):
+        write_png(place / f"{picture.name}.png", picture.image)
+        ways[picture.name] = picture.way
     return ways
 
 

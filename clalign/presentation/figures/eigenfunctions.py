@@ -11,7 +11,6 @@ from clalign.correspondence import Correspondence
 from clalign.errors import OptionError
 from clalign.evaluation.spectral import (
     PairRotation,
-    TrueMaps,
     alignment_errors,
     as_computed,
     most_rotated_pair,
@@ -20,6 +19,7 @@ from clalign.evaluation.spectral import (
     support_areas,
     true_rotation,
 )
+from clalign.maps.functional_maps import PointMaps
 from clalign.presentation.figures.sheet import AFTER, BEFORE, PANEL_HEIGHT, Cell, Drawing, Image, Table, panel_sheet
 from clalign.presentation.figures.surfaces import PairView
 
@@ -31,7 +31,7 @@ Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def draw_eigenfunctions(
-    result: Correspondence, maps: TrueMaps, shown: Sequence[int] = SHOWN, height: int = PANEL_HEIGHT
+    result: Correspondence, maps: PointMaps, shown: Sequence[int] = SHOWN, height: int = PANEL_HEIGHT
 ) -> Drawing:
     """Draw Fig. 1: corresponding eigenfunctions on both shapes, before (pink) and after alignment (green).
 
@@ -62,7 +62,7 @@ def draw_eigenfunctions(
 
 
 def draw_pair_rotation(
-    result: Correspondence, maps: TrueMaps, first: int | None = None, height: int = PANEL_HEIGHT
+    result: Correspondence, maps: PointMaps, first: int | None = None, height: int = PANEL_HEIGHT
 ) -> Drawing:
     """Draw Fig. 2: two neighbouring eigenfunctions that are turned within their span, and the turn recovered.
 
@@ -104,7 +104,7 @@ def draw_pair_rotation(
 
 
 def draw_variants(
-    results: Mapping[str, Correspondence], maps: TrueMaps, number: int = SHOWN_INDEX, height: int = PANEL_HEIGHT
+    results: Mapping[str, Correspondence], maps: PointMaps, number: int = SHOWN_INDEX, height: int = PANEL_HEIGHT
 ) -> Drawing:
     """Draw Fig. 8: one eigenfunction on both shapes, unaligned and aligned by variants of the method.
 
@@ -148,7 +148,7 @@ def _unaligned(result: Correspondence) -> Pair:
     return as_computed(result.source_descriptors)[:, :count], result.target_descriptors.functions[:, :count]
 
 
-def _errors(result: Correspondence, functions: Pair, maps: TrueMaps) -> NDArray[np.float64]:
+def _errors(result: Correspondence, functions: Pair, maps: PointMaps) -> NDArray[np.float64]:
     return alignment_errors(*functions, maps.target_of_source, result.source_basis.mass)
 
 

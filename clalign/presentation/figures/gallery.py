@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from clalign.benchmark.methods import PAPER_MIRRORED
-from clalign.benchmark.records import CURVES_FILE, RECORDS_FILE, Record, read_curves, read_records
+from clalign.benchmark.methods import MethodRuns, method_label
+from clalign.benchmark.pairs import LoadedPair
+from clalign.benchmark.records import RECORDS_FILE, Record, read_curves, read_records
 from clalign.benchmark.table import mean_curve
-from clalign.benchmark.variants import VariantRuns, variant_label
 from clalign.correspondence import Correspondence
 from clalign.errors import ResultError
 from clalign.evaluation.errors import Evaluation, evaluate
-from clalign.evaluation.pairs import Problem
-from clalign.evaluation.spectral import TrueMaps, spectral_errors, true_maps
-from clalign.evaluation.truth import Truth
+from clalign.evaluation.spectral import spectral_errors
+from clalign.evaluation.truth import Truth, true_maps
+from clalign.maps.functional_maps import PointMaps
 from clalign.presentation.curves import AXIS_LABELS
 from clalign.presentation.figures.eigenfunctions import (
     SHOWN_INDEX,
@@ -29,9 +29,10 @@ from clalign.presentation.figures.sheet import PANEL_HEIGHT, Drawing
 from clalign.presentation.figures.spectral import draw_funnel, draw_spectral_errors
 
 MAIN = "default"
+MIRRORED_SIGNS = "paper-mirrored"
 CURVE_VARIANTS = ("paper", "paper-cycle", "paper-isometric", "paper-heat-kernel", MAIN)
 ALIGNED_VARIANTS = (MAIN, "cycle", "isometric")
-STARTS = ("paper", PAPER_MIRRORED, "mirrored", MAIN)
+STARTS = ("paper", MIRRORED_SIGNS, "mirrored", MAIN)
 
 
 @dataclass(frozen=True)
@@ -40,17 +41,17 @@ class Subject:
 
     Attributes
     ----------
-    problem : the meshes and the truth; a truth without points is none.
-    runs : its matches by variants.
-    variants : names that replace a figure's own choice of variants; empty keeps it.
+    pair : its meshes and the truth; a truth without points is none.
+    runs : its matches by method.
+    variants : methods that replace a figure's own choice; empty keeps it.
     index : number of the eigenfunction of Fig. 8.
     pair_index : number of the first eigenfunction of Fig. 2; None takes the pair that is turned most.
     height : of a panel of one shape, in pixels.
     comparable : the match by the default method is one by the default options.
     """
 
-    problem: Problem
-    runs: VariantRuns
+    pair: LoadedPair
+    runs: MethodRuns
     variants: tuple[str, ...] = ()
     index: int = SHOWN_INDEX
     pair_index: int | None = None
@@ -65,24 +66,24 @@ class Subject:
     @property
     def has_truth(self) -> bool:
         """Whether anything can be measured."""
-        return self.problem.truth.count > 0
+        return self.pair.truth.count > 0
 
     @cached_property
-    def maps(self) -> TrueMaps:
+    def maps(self) -> PointMaps:
         """The truth; the found map where there is none."""
-        truth = self.problem.truth if self.has_truth else Truth.from_index(self.result.target_of_source)
-        return true_maps(self.result, truth)
+        truth = self.pair.truth if self.has_truth else Truth.from_index(self.result.target_of_source)
+        return true_maps(self.result.source, self.result.target, truth)
 
     def chosen(self, own: Sequence[str]) -> dict[str, Correspondence]:
         """Return the matches of a figure by label."""
-        return {variant_label(name): self.runs(name) for name in self.variants or own}
+        return {method_label(name): self.runs(name) for name in self.variants or own}
 
     def evaluated(self, results: dict[str, Correspondence]) -> dict[str, Evaluation]:
         """Return the errors of matches by label; empty without a truth."""
         if not self.has_truth:
             return {}
-        problem = self.problem
-        return {label: evaluate(r, problem.truth, mirrored=problem.mirrored) for label, r in results.items()}
+        pair = self.pair
+        return {label: evaluate(r, pair.truth, mirrored=pair.mirrored) for label, r in results.items()}
 
 
 @dataclass(frozen=True)
@@ -114,13 +115,13 @@ def _curves(subject: Subject) -> Drawing:
 
 
 def _matched(subject: Subject) -> Drawing:
-    results = {subject.problem.name: subject.result}
+    results = {subject.pair.name: subject.result}
     return draw_matched_colours(results, subject.evaluated(results), subject.height)
 
 
 def _mirrored(subject: Subject) -> Drawing:
-    known = subject.problem.mirrored is not None
-    results = subject.chosen([name for name in STARTS if known or name != PAPER_MIRRORED])
+    known = subject.pair.mirrored is not None
+    results = subject.chosen([name for name in STARTS if known or name != MIRRORED_SIGNS])
     return draw_mirrored(results, subject.evaluated(results), subject.height)
 
 
@@ -164,18 +165,18 @@ def draw_recorded_curves(folder: Path) -> Drawing:
         The folder is not one of a benchmark, or has no pair in it.
     """
     groups: dict[str, list[Record]] = {}
-    records = {record.key: record for record in read_records(folder / RECORDS_FILE)}
+    records = {record.key: record for record in read_records(folder)}
     suites = {record.suite for record in records.values()}
     last = {(record.suite, record.method): record.settings for record in records.values()}
     for record in records.values():
         if record.settings != last[record.suite, record.method]:
             continue
-        label = variant_label(record.method)
+        label = method_label(record.method)
         groups.setdefault(label if len(suites) == 1 else f"{record.suite}: {label}", []).append(record)
     if not groups:
         raise ResultError(f"{folder / RECORDS_FILE}: no pair in it")
     drawn = {}
     for unit in AXIS_LABELS:
-        curves = read_curves(folder / CURVES_FILE, unit)
+        curves = read_curves(folder, unit)
         drawn[unit] = {label: mean_curve(group, curves) for label, group in groups.items()}
     return draw_error_curves(drawn)

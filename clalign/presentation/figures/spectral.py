@@ -11,20 +11,20 @@ from clalign.alignment.band import band_mask, funnel_band
 from clalign.correspondence import Correspondence
 from clalign.evaluation.spectral import (
     SpectralErrors,
-    TrueMaps,
     as_computed,
     coupling_spread,
     energy_inside,
     recovered_rotation,
     true_rotation,
 )
+from clalign.maps.functional_maps import PointMaps
 from clalign.presentation.figures.sheet import Drawing, Table, new_figure
 
 _RUNNING = 11
 _GAMMA = 0.5
 
 
-def draw_funnel(result: Correspondence, maps: TrueMaps) -> Drawing:
+def draw_funnel(result: Correspondence, maps: PointMaps) -> Drawing:
     """Draw Fig. 3: |C̃| of the truth, the mask of the options beside it (outlined in both), and the recovered |C̃|.
 
     Parameters

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.presentation.camera import Up, front_view
-from clalign.presentation.colours import function_colours, position_colours
 from clalign.presentation.figures.sheet import Image
-from clalign.presentation.picture import carried_colours, map_turn
+from clalign.presentation.picture import map_rotation
 from clalign.presentation.raster import rasterise
+from clalign.transfer.colours import carried_colours, function_colours, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map
 
 _MARGIN = 0.04
@@ -43,7 +43,7 @@ class PairView:
         """Return the view in which the source faces like the target."""
         source, target = correspondence.source, correspondence.target
         view = front_view(target.vertices, up)
-        turn = map_turn(source.vertices, target.vertices, surface_map(correspondence))
+        turn = map_rotation(source.vertices, target.vertices, surface_map(correspondence))
         return PairView(
             source=_centred(source.vertices @ (view @ turn).T),
             target=_centred(target.vertices @ view.T),

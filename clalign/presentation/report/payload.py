@@ -14,8 +14,8 @@ from clalign.correspondence import Alternative, Correspondence, finite_or_none
 from clalign.evaluation.errors import Evaluation
 from clalign.mesh.mesh import Mesh
 from clalign.presentation.camera import Up, front_view
-from clalign.presentation.colours import RAMPS, UNMATCHED, position_colours
-from clalign.presentation.picture import map_turn
+from clalign.presentation.picture import map_rotation
+from clalign.transfer.colours import RAMPS, UNMATCHED, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map, vertex_map
 
 _FUNCTION_BYTES = 8_000_000
@@ -53,7 +53,7 @@ def build_payload(
     source, target = correspondence.source, correspondence.target
     view = front_view(target.vertices, up)
     to_target = surface_map(correspondence)
-    views = {"source": view @ map_turn(source.vertices, target.vertices, to_target), "target": view}
+    views = {"source": view @ map_rotation(source.vertices, target.vertices, to_target), "target": view}
     arrays: dict[str, NDArray[np.generic]] = {}
     shapes = {}
     for side, mesh in (("source", source), ("target", target)):

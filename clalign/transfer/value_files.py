@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from clalign.errors import InputError
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.writing import save_mesh
-from clalign.presentation.colours import UNMATCHED, amount_colours
-from clalign.presentation.exports import file_positions
+from clalign.transfer.colours import UNMATCHED, amount_colours
 
 MESH_SUFFIXES = (".ply", ".off", ".obj")
 _TEXT_SUFFIXES = (".txt", ".csv", ".xyz", ".lab", ".vts")
@@ -82,7 +81,7 @@ def write_values(path: str | Path, values: NDArray, mesh: Mesh) -> None:
         whole = np.issubdtype(values.dtype, np.integer)
         np.savetxt(path, values, fmt="%d" if whole else "%.17g", delimiter="," if suffix == ".csv" else " ")
     elif suffix in MESH_SUFFIXES:
-        save_mesh(path, file_positions(mesh), mesh.file_index[mesh.faces], _colours_of(values))
+        save_mesh(path, mesh.file_positions(), mesh.file_faces, _colours_of(values))
     else:
         known = ", ".join((".npy", *_TEXT_SUFFIXES, *MESH_SUFFIXES))
         raise InputError(f"{path}: unknown kind of file; give it one of the suffixes {known}")

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
+from clalign.benchmark.pairs import BenchmarkPair, Pair, TruthFiles
+from clalign.collection.choice import mesh_stem, read_pairs_file
 from clalign.errors import ResultError
-from clalign.evaluation.pairs import BenchmarkPair, Pair, TruthFiles
+from clalign.mesh.reading import SUFFIXES
 
-MESH_SUFFIXES = (".ply", ".off", ".obj", ".stl")
 FAUST_MESHES = 100
 SHUFFLE_SEED = 20200
 MESH_FOLDERS = ("", "off", "offs", "shapes", "meshes", "training/registrations")
@@ -65,7 +66,7 @@ def humans(path: str | Path, pairs: str | Path | None = None) -> tuple[Layout, .
         return tuple(_listed_layout(folder, listing) for folder, listing in listings)
     layouts = tuple(_first_against_others(folder, folder.name) for folder in folders if _meshes(folder))
     if not layouts:
-        raise ResultError(f"{root}: no mesh file here or one folder below ({', '.join(MESH_SUFFIXES)})")
+        raise ResultError(f"{root}: no mesh file here or one folder below ({', '.join(SUFFIXES)})")
     return layouts
 
 
@@ -86,7 +87,7 @@ def animals(path: str | Path) -> tuple[Layout, ...]:
         if names:
             layouts.append(_layout(folder.name, meshes, names, _identity_truth(folder), shuffle=True))
     if not layouts:
-        raise ResultError(f"{root}: no folder with two or more frames ({', '.join(MESH_SUFFIXES)})")
+        raise ResultError(f"{root}: no folder with two or more frames ({', '.join(SUFFIXES)})")
     return tuple(layouts)
 
 
@@ -137,32 +138,8 @@ def mesh_files(path: str | Path) -> tuple[Path, dict[str, Path]]:
     folder = _existing_folder(path)
     meshes = _meshes(folder)
     if not meshes:
-        raise ResultError(f"{folder}: no mesh file here ({', '.join(MESH_SUFFIXES)})")
+        raise ResultError(f"{folder}: no mesh file here ({', '.join(SUFFIXES)})")
     return folder, meshes
-
-
-def read_pairs_file(path: str | Path) -> list[tuple[str, str]]:
-    """Read a pairs file: source and target a line, ``#`` starts a comment.
-
-    Raises
-    ------
-    ResultError
-        The file cannot be read, or a line is not two names.
-    """
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ResultError(f"{path}: cannot read the pairs ({error})") from error
-    names = []
-    for number, line in enumerate(lines, start=1):
-        words = line.partition("#")[0].replace(",", " ").split()
-        if words and len(words) != 2:
-            raise ResultError(f"{path}, line {number}: expected a source and a target, got {line.strip()!r}")
-        if words:
-            names.append((words[0], words[1]))
-    if not names:
-        raise ResultError(f"{path}: no pair in it")
-    return names
 
 
 def _faust_names(folder: Path, meshes: dict[str, Path], pairs: str | Path) -> tuple[list[tuple[str, str]], str]:
@@ -202,19 +179,15 @@ def _class_and_number(name: str) -> tuple[str, int]:
 
 def _mesh_name(word: str) -> str:
     """Return the stem of a mesh named by its stem, its file or its FAUST number."""
-    stem = Path(word).stem if Path(word).suffix.lower() in MESH_SUFFIXES else word
+    stem = mesh_stem(word)
     return f"tr_reg_{int(stem):03d}" if stem.isdigit() else stem
 
 
 def _listed_layout(folder: Path, listing: Path) -> Layout:
-    names = [(_plain_name(a), _plain_name(b)) for a, b in read_pairs_file(listing)]
+    names = [(mesh_stem(a), mesh_stem(b)) for a, b in read_pairs_file(listing)]
     meshes = _meshes(folder)
     truths = _human_truth(folder, meshes)
     return _layout(f"{folder.name}/{listing.stem}", meshes, names, truths, shuffle=isinstance(truths, TruthFiles))
-
-
-def _plain_name(word: str) -> str:
-    return Path(word).stem if Path(word).suffix.lower() in MESH_SUFFIXES else word
 
 
 def _first_against_others(folder: Path, name: str) -> Layout:
@@ -299,7 +272,7 @@ def _find_pairs_file(root: Path, pairs: Path) -> Path:
 
 def _meshes(folder: Path) -> dict[str, Path]:
     """Return the mesh files of a folder by stem, in natural order (pose 2 before pose 10)."""
-    files = [path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES and path.is_file()]
+    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
     return {path.stem: path for path in sorted(files, key=lambda path: _class_and_number(path.stem))}
 
 

@@ -6,10 +6,10 @@ import datasets
 import numpy as np
 import pytest
 
+from clalign.benchmark.layouts import Layout, animals, faust, humans, read_pairs_file
+from clalign.benchmark.pairs import Pair
 from clalign.errors import ClalignError, ResultError
 from clalign.evaluation.errors import evaluate
-from clalign.evaluation.layouts import Layout, animals, faust, humans, read_pairs_file
-from clalign.evaluation.pairs import Pair
 
 
 def names(layout: Layout) -> list[str]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.transfer.surface_map import SurfaceMap
+
 UNMATCHED = np.array([0.72, 0.72, 0.72])
 """Colour of vertices that the map gives no match."""
 
@@ -21,12 +23,12 @@ def position_colours(vertices: NDArray[np.floating], view: NDArray[np.float64]) 
     """Return a colour for every vertex that changes smoothly with its place in space.
 
     Hue runs along the height and a little across, lightness tells left from right, chroma front from back, so that a
-    mirrored or turned map shows at once.
+    mirrored or rotated map shows at once.
 
     Parameters
     ----------
     vertices : (n, 3) float.
-    view : (3, 3) float64, rotation to viewing axes (see `clalign.presentation.camera.front_view`).
+    view : (3, 3) float64, rotation to viewing axes.
 
     Returns
     -------
@@ -55,6 +57,11 @@ def function_colours(values: NDArray[np.floating], *, limit: float | None = None
 def amount_colours(values: NDArray[np.floating], low: float, high: float) -> NDArray[np.float64]:
     """Return (n, 3) colours of an amount: dark at `low`, bright at `high`."""
     return _ramp(_SEQUENTIAL, (np.asarray(values, dtype=np.float64) - low) / max(high - low, 1e-300))
+
+
+def carried_colours(target_colours: NDArray[np.float64], to_target: SurfaceMap) -> NDArray[np.float64]:
+    """Return (n_x, 3) colours pulled back from the target; grey where a source vertex has no match."""
+    return np.where(to_target.matched[:, None], to_target.pull(target_colours), UNMATCHED)
 
 
 def _ramp(stops: NDArray[np.integer], place: NDArray[np.float64]) -> NDArray[np.float64]:

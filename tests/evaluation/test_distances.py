@@ -1,13 +1,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import shapes
 
-from clalign.errors import ResultError
-from clalign.evaluation.isometric import total_maps, with_distances_of
-from clalign.evaluation.perturb import renumber
-from clalign.evaluation.truth import Truth
+from clalign.benchmark.perturb import renumber
+from clalign.evaluation.distances import with_distances_of
 from clalign.geometry.shape import prepare_pair
 from clalign.mesh.mesh import mesh_from_arrays
 from clalign.options import Options
@@ -41,16 +38,3 @@ def test_distances_between_true_points_become_equal() -> None:
     np.testing.assert_array_equal(carried.geodesics.rows[:, new], source.geodesics.rows)
     np.testing.assert_array_equal(carried.geodesics.samples, new[source.geodesics.samples])
     assert carried.basis is target.basis
-
-
-def test_gaps_of_the_truth_are_filled_from_beside() -> None:
-    mesh = mesh_from_arrays(*shapes.icosphere(3), "sphere")
-    every_other = np.arange(0, mesh.n_vertices, 2)
-    backward, forward = total_maps(mesh, mesh, Truth(every_other, every_other))
-    np.testing.assert_array_equal(backward[every_other], every_other)
-    shift = np.linalg.norm(mesh.vertices[backward] - mesh.vertices, axis=1)
-    edge = np.linalg.norm(mesh.vertices[mesh.faces[:, 0]] - mesh.vertices[mesh.faces[:, 1]], axis=1).max()
-    assert shift.max() < 2 * edge
-    np.testing.assert_array_equal(forward, backward)
-    with pytest.raises(ResultError, match="no point on both"):
-        total_maps(mesh, mesh, Truth(np.array([], dtype=int), np.array([], dtype=int)))

@@ -76,6 +76,23 @@ def read_texture(path: str | Path) -> Texture:
     return Texture(np.array(coordinates), np.array(corners), np.array(faces), tuple(dict.fromkeys(materials)))
 
 
+def write_textured_obj(path: str | Path, vertices: NDArray[np.float64], texture: Texture) -> None:
+    """Write an OBJ file with texture coordinates of corners.
+
+    Parameters
+    ----------
+    path : the file.
+    vertices : (n, 3) positions in file numbering.
+    texture : coordinates, corners and faces; its material lines come first.
+    """
+    lines = list(texture.materials)
+    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    lines += [f"vt {u:.7g} {v:.7g}" for u, v in texture.coordinates.tolist()]
+    corners = np.stack([texture.faces + 1, texture.corners + 1], axis=2).reshape(-1, 6)
+    lines += [f"f {a}/{s} {b}/{t} {c}/{u}" for a, s, b, t, c, u in corners.tolist()]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
 def carry_texture(correspondence: Correspondence, texture: Texture, *, origin: Side = "source") -> Texture:
     """Give the corners of the other shape's triangles the texture coordinates of their matches.
 
@@ -116,7 +133,7 @@ def carry_texture(correspondence: Correspondence, texture: Texture, *, origin: S
         around[(chosen < 0).any(axis=1)] = np.inf
         better = around < shortest
         best[better], shortest[better] = chosen[better], around[better]
-    return Texture(texture.coordinates, best, there.file_index[there.faces], texture.materials)
+    return Texture(texture.coordinates, best, there.file_faces, texture.materials)
 
 
 def _choices(texture: Texture, vertices: int) -> NDArray[np.int64]:

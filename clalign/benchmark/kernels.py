@@ -1,4 +1,4 @@
-"""Timing of every kernel beside numpy doing the same work, and beside what the device reaches at best.
+"""Timing of every kernel beside numpy doing the same work and what the device reaches, and of the eigensolver.
 
 Work and its comparison are timed in turn, best of several, so that a busy machine harms both alike. Rates come from the
 operations or bytes that the result needs, not from what a kernel happens to do. Fused kernels are compared with a numpy
@@ -11,15 +11,25 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import scipy.sparse as sparse
 from numpy.typing import NDArray
+from scipy.sparse.linalg import eigsh
 
+from clalign.alignment.band import funnel_band
+from clalign.benchmark.losses import ProblemSize, synthetic_problem
+from clalign.benchmark.performance import elapsed, seconds_text
+from clalign.benchmark.table import markdown_table
 from clalign.engine.backend import Band
 from clalign.engine.kernels import Kernels
 from clalign.engine.reference import Reference
 from clalign.engine.reference_soft import pair_count
+from clalign.geometry.operators import conformal_factor, gaussian_curvature, lumped_mass, stiffness
+from clalign.geometry.spectra import eigenvalue_unit, solve
+from clalign.geometry.workers import processor_count, single_threaded_blas
+from clalign.mesh.mesh import Mesh
+from clalign.options import AlignmentOptions, SpectrumOptions
 
 Values = NDArray[np.float32]
 Run = Callable[[], object]
@@ -111,7 +121,7 @@ def measure_kernels(
     for size in sizes:
         for family in (product_cases, soft_map_cases, loss_cases, search_cases):
             yield from (measure(kernels, case, repeats) for case in family(kernels, size, rng))
-        yield measure(kernels, sequence_case(kernels, size, rng), repeats)
+        yield measure(kernels, objective_case(kernels, size, rng), repeats)
 
 
 def measure(kernels: Kernels, case: Case, repeats: int) -> KernelRate:
@@ -125,19 +135,13 @@ def measure(kernels: Kernels, case: Case, repeats: int) -> KernelRate:
 
     # The first run builds the programs.
     on_device()
-    count = min(MOST_QUEUED, max(1, int(QUEUED / _elapsed(on_device))))
+    count = min(MOST_QUEUED, max(1, int(QUEUED / elapsed(on_device))))
     seconds = other_seconds = float("inf")
     for _ in range(repeats):
         seconds = min(seconds, _settled(on_device) / count)
         other_seconds = min(other_seconds, _settled(case.other_run) / case.share)
     rate, other_rate = case.work / seconds / 1e9, case.work / other_seconds / 1e9
     return KernelRate(case.kernel, case.size, case.unit, seconds, rate, case.other, other_seconds, other_rate)
-
-
-def _elapsed(run: Run) -> float:
-    start = time.perf_counter()
-    run()
-    return time.perf_counter() - start
 
 
 def _settled(run: Run) -> float:
@@ -149,7 +153,7 @@ def _settled(run: Run) -> float:
     time.sleep(PAUSE)
     best, left = float("inf"), BURST
     while left > 0:
-        seconds = _elapsed(run)
+        seconds = elapsed(run)
         best, left = min(best, seconds), left - seconds
     return best
 
@@ -186,7 +190,7 @@ def product_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Ite
     n, k, d = size.n, size.k, size.d
     yield _product_case(kernels, rng, "product", k, d, d)
     yield _product_case(kernels, rng, "product", n, k, k)
-    band = _funnel(d)
+    band = funnel_band(d, AlignmentOptions())
     a, r, out = kernels.array(_random(rng, k, d)), kernels.zeros((d, d)), kernels.zeros((k, d))
     banded: Run = lambda: kernels.banded_product(a, r, right=band, out=out)  # noqa: E731
     yield Case("banded_product", f"{k}x{d}", 2.0 * k * band.count, banded, *_numpy_product(rng, k, d, d))
@@ -236,7 +240,7 @@ def loss_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Iterat
     value, slope = kernels.zeros(()), kernels.zeros((n, r))
     distortion: Run = lambda: kernels.distortion(z, core, left, core, w, out=(value, slope))  # noqa: E731
     yield Case("distortion", f"n={n} r={r}", 10.0 * n * r * r, distortion, *_numpy_product(rng, n, r, 5 * r))
-    square, band = kernels.array(_random(rng, d, d)), _funnel(d)
+    square, band = kernels.array(_random(rng, d, d)), funnel_band(d, AlignmentOptions())
     out = (kernels.zeros(()), kernels.zeros(()), kernels.zeros((d, d)), kernels.zeros((d, d)))
     rotation = kernels.band_expand(kernels.array(_random(rng, band.count)), band)
     turned = kernels.transpose(rotation)
@@ -281,45 +285,13 @@ def search_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Iter
     )
 
 
-def sequence_case(kernels: Kernels, size: Size, rng: np.random.Generator) -> Case:
-    """One evaluation of value and gradient: from packed R to both losses and back, without reading anything back."""
-    n, k, d, r = size.n, size.k, size.d, size.r
-    band = _funnel(d)
-    make: Callable[..., Any] = lambda *shape: kernels.array(_random(rng, *shape))  # noqa: E731
-    x, f, h, phi, square = make(band.count), make(k, d), make(k, d), make(n, k), make(d, d)
-    packed, core, left, w = make(pair_count(k), r), make(r, r), make(n, r), make(n)
-    shapes = {"r": (d, d), "rt": (d, d), "a": (k, d), "b": (k, d)}
-    shapes |= dict.fromkeys(("gram", "rhs", "c", "x"), (k, k))
-    small = {name: kernels.zeros(shape) for name, shape in shapes.items()}
-    cphi, dc, pair = kernels.zeros((n, k)), kernels.zeros((n, k)), (kernels.zeros((n, r)), kernels.zeros(n))
-    loss = (kernels.zeros(()), kernels.zeros((n, r)))
-    aligned = (kernels.zeros(()), kernels.zeros(()), kernels.zeros((d, d)), kernels.zeros((d, d)))
-    da, db, gradient = kernels.zeros((k, d)), kernels.zeros((k, d)), kernels.zeros(band.count)
-
-    def run() -> None:
-        rotation = kernels.band_expand(x, band, out=small["r"])
-        alpha = kernels.banded_product(f, rotation, right=band, out=small["a"])
-        turned = kernels.transpose(rotation, out=small["rt"])
-        beta = kernels.banded_product(h, turned, right=band.transposed, out=small["b"])
-        gram = kernels.product(alpha, alpha, transpose_b=True, out=small["gram"])
-        rhs = kernels.product(beta, alpha, transpose_b=True, out=small["rhs"])
-        c = kernels.solve_right(gram, rhs, 1e-6, out=small["c"])
-        kernels.product(phi, c, transpose_b=True, out=cphi)
-        kernels.soft_map(cphi, packed, out=pair)
-        kernels.distortion(pair[0], core, left, core, w, out=loss)
-        kernels.soft_map_gradient(cphi, packed, None, *pair, loss[1], out=dc)
-        kernels.weighted_gram(dc, phi, out=small["rhs"])
-        slope = kernels.solve_right(gram, small["rhs"], 1e-6, out=small["x"])
-        kernels.product(slope, alpha, out=db)
-        kernels.product(slope, beta, transpose_a=True, out=da)
-        kernels.product(c, db, transpose_a=True, scale=-1.0, accumulate=True, out=da)
-        kernels.alignment(rotation, turned, square, square, square, band, out=aligned)
-        kernels.product(f, da, transpose_a=True, accumulate=True, out=aligned[2])
-        kernels.product(db, h, transpose_a=True, accumulate=True, out=aligned[2])
-        kernels.band_gather(aligned[2], band, out=gradient)
-
-    work = 4.0 * n * pair_count(k) * r
-    return Case("value_and_gradient", str(size), work, run, *_numpy_product(rng, n, 2 * r, pair_count(k)))
+def objective_case(kernels: Kernels, size: Size, rng: np.random.Generator) -> Case:
+    """One value and gradient of the objective on all vertices, from packed R to the packed gradient."""
+    problem, frozen, x = synthetic_problem(kernels, size.n, ProblemSize(size.k, size.d, size.r))
+    pairs = pair_count(size.k)
+    comparison = _numpy_product(rng, size.n, 2 * size.r, pairs)
+    run: Run = lambda: problem.value_and_gradient(x, frozen)  # noqa: E731
+    return Case("value_and_gradient", str(size), 4.0 * size.n * pairs * size.r, run, *comparison)
 
 
 def _alignment_work(band: Band) -> float:
@@ -330,8 +302,83 @@ def _alignment_work(band: Band) -> float:
     return float(2.0 * np.sum((rows + columns) ** 2))
 
 
-def _funnel(size: int) -> Band:
-    rows = np.arange(size)
-    width = np.ceil((rows + 1) / 2.5).astype(np.int64) + 2
-    lower = np.maximum.accumulate(np.clip(rows - width, 0, None))
-    return Band.from_limits(lower, np.clip(rows + width + 1, None, size))
+def kernel_table(rates: Sequence[KernelRate]) -> str:
+    """Return a Markdown table: each kernel over numpy and over what the device reaches at best in the same unit.
+
+    Parameters
+    ----------
+    rates : as `measure_kernels` yields them, ceilings first: a copy for GB/s, a large product for GFLOP/s.
+    """
+    ceilings: dict[str, float] = {}
+    for rate in rates:
+        ceilings.setdefault(rate.unit, rate.rate)
+    rows = [
+        [
+            rate.kernel,
+            rate.size,
+            seconds_text(rate.seconds),
+            f"{rate.rate:.1f} {rate.unit}",
+            rate.other,
+            f"{rate.other_rate:.1f}",
+            f"{rate.ratio:.2f}",
+            f"{rate.rate / ceilings[rate.unit]:.2f}",
+        ]
+        for rate in rates
+    ]
+    header = ["kernel", "size", "time", "rate", "comparison", "its rate", "over comparison", "over ceiling"]
+    return markdown_table(header, rows, text_columns=2)
+
+
+@dataclass(frozen=True)
+class SpectraTimes:
+    """Seconds for both spectra of a shape, by the solver here and by two calls of scipy's ``eigsh``."""
+
+    vertices: int
+    basis: int
+    descriptors: int
+    seconds: float
+    scipy_seconds: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times scipy's duration ours fits into."""
+        return self.scipy_seconds / self.seconds
+
+
+def measure_spectra(mesh: Mesh, basis: int = 120, descriptors: int = 352, repeats: int = 2) -> SpectraTimes:
+    """Time Laplace–Beltrami and scale-invariant eigenfunctions of a mesh, ours and scipy's in turn, the best of each.
+
+    Ours includes the check of every residual. scipy's is shift-invert ARPACK as its manual has it for the lowest
+    eigenpairs, with the mass matrix and a shift just below zero; its matrix products run in one thread, as ours do,
+    since on a busy machine more threads slow it down severalfold.
+    """
+    options = SpectrumOptions(basis=basis, descriptors=descriptors)
+    mass, matrix = lumped_mass(mesh.vertices, mesh.faces), stiffness(mesh.vertices, mesh.faces)
+    functions = solve(matrix, mass, basis, threads=processor_count())
+    curvature = gaussian_curvature(mesh.vertices, mesh.faces, mass)
+    invariant = mass * conformal_factor(curvature, mass, options, functions)
+    wanted = ((mass, functions.count), (invariant, min(descriptors, len(mass) // 3)))
+
+    def ours() -> None:
+        for weights, count in wanted:
+            solve(matrix, weights, count, threads=processor_count())
+
+    def scipys() -> None:
+        with single_threaded_blas():
+            for weights, count in wanted:
+                eigsh(matrix.tocsc(), count, sparse.diags_array(weights).tocsc(), sigma=-eigenvalue_unit(weights))
+
+    seconds = scipy_seconds = float("inf")
+    for _ in range(repeats):
+        seconds, scipy_seconds = min(seconds, elapsed(ours)), min(scipy_seconds, elapsed(scipys))
+    return SpectraTimes(len(mass), functions.count, min(descriptors, len(mass) // 3), seconds, scipy_seconds)
+
+
+def spectra_table(times: SpectraTimes) -> str:
+    """Return the Markdown table of a measurement."""
+    rows = [
+        ["block Lanczos, residuals checked", seconds_text(times.seconds), f"{times.ratio:.2f}×"],
+        ["scipy eigsh twice", seconds_text(times.scipy_seconds), "1×"],
+    ]
+    label = f"{times.basis} + {times.descriptors} eigenpairs, n = {times.vertices:,}"
+    return markdown_table([label, "time", "faster than scipy"], rows)

@@ -12,13 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.alignment.band import funnel_band
-from clalign.alignment.objective import AlignmentProblem, Round
-from clalign.alignment.problem_data import AlignedSide, SampledFactors
-from clalign.benchmark.performance import elapsed, exponent_text, fitted_exponent, markdown_table, seconds_text
+from clalign.alignment.losses import FixedCorrespondence
+from clalign.alignment.objective import Objective
+from clalign.alignment.problem_data import SampledFactors, ShapeData
+from clalign.benchmark.performance import elapsed, exponent_text, fitted_exponent, seconds_text
+from clalign.benchmark.table import markdown_table
 from clalign.engine.backend import Backend
 from clalign.errors import ClalignError
 from clalign.geometry.sampling import VertexOrder
 from clalign.options import AlignmentOptions
+from clalign.rules import AlignmentRules
 
 Single = NDArray[np.float32]
 
@@ -135,7 +138,7 @@ def _ratio_text(times: LossTimes, count: int) -> str:
 
 def synthetic_problem(
     backend: Backend, count: int, size: ProblemSize, samples: int = 0, seed: int = 0
-) -> tuple[AlignmentProblem, Round, NDArray[np.float64]]:
+) -> tuple[Objective, FixedCorrespondence, NDArray[np.float64]]:
     """Return a problem with random arrays, a round of it, and packed entries of R to evaluate it at.
 
     Parameters
@@ -149,7 +152,7 @@ def synthetic_problem(
     left = rng.standard_normal((count, size.rank))
     core = rng.standard_normal((size.rank, size.rank))
     # One side serves as both shapes: that halves the memory and changes no operation.
-    side = AlignedSide(
+    side = ShapeData(
         basis=rng.standard_normal((count, size.basis)),
         descriptors=rng.standard_normal((count, size.descriptors)),
         projection=rng.standard_normal((size.basis, size.descriptors)),
@@ -162,17 +165,17 @@ def synthetic_problem(
     )
     factors = SampledFactors(np.arange(chosen), np.full(chosen, 1.0 / chosen), left[:chosen], core + core.T)
     options = AlignmentOptions()
-    problem = AlignmentProblem(side, side, factors, funnel_band(size.descriptors, options), backend, options)
+    problem = Objective(side, side, factors, funnel_band(size.descriptors, options), backend, options, AlignmentRules())
     rotation = np.eye(size.descriptors)
-    frozen = problem.start_round(rotation, rng.permutation(count), options.weight)
-    return problem, frozen, problem.pack(rotation) + 0.01 * rng.standard_normal(problem.band.count)
+    fixed = problem.fix(rotation, rng.permutation(count), options.weight)
+    return problem, fixed, problem.pack(rotation) + 0.01 * rng.standard_normal(problem.band.count)
 
 
 def _best_seconds(backend: Backend, size: ProblemSize, count: int, samples: int, repeats: int) -> float:
-    problem, frozen, x = synthetic_problem(backend, count, size, samples)
-    if not np.isfinite(problem.value_and_gradient(x, frozen).total):
+    problem, fixed, x = synthetic_problem(backend, count, size, samples)
+    if not np.isfinite(problem.value_and_gradient(x, fixed).total):
         raise ClalignError(f"the objective has no finite value at {count} random vertices on {backend.name}")
-    return min(elapsed(lambda: problem.value_and_gradient(x, frozen)) for _ in range(repeats))
+    return min(elapsed(lambda: problem.value_and_gradient(x, fixed)) for _ in range(repeats))
 
 
 def dense_evaluation(

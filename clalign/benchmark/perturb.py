@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from clalign.errors import InputError
 from clalign.evaluation.truth import Truth
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
+from clalign.mesh.topology import vertex_normals
 
 NEIGHBOURS = 8
 
@@ -133,16 +134,6 @@ def _nearest_on_the_same_side(
 def mean_edge_length(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> float:
     """Mean length of the edges, each counted once a face."""
     return float(np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2).mean())
-
-
-def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Return (n, 3) unit normals, the mean of the faces' normals weighted by area."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    face_normals = np.cross(b - a, c - a)
-    normals = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], face_normals)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
 
 
 def _same_vertices(mesh: Mesh, vertices: NDArray[np.float64], change: str) -> Perturbed:

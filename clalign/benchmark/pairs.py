@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
+from clalign.benchmark.perturb import renumber
 from clalign.errors import ResultError
-from clalign.evaluation.perturb import renumber
 from clalign.evaluation.truth import Truth, read_mirror, read_pair_truth
 from clalign.mesh.mesh import Mesh, load_mesh
 
@@ -55,7 +55,7 @@ class TruthFiles:
 
 
 @dataclass(frozen=True)
-class Problem:
+class LoadedPair:
     """A pair in memory: `truth` and `mirrored` speak of the meshes as they are here (renumbered, if so asked)."""
 
     name: str
@@ -72,7 +72,7 @@ class BenchmarkPair(Protocol):
     def name(self) -> str:
         """Name of the pair."""
 
-    def load(self) -> Problem:
+    def load(self) -> LoadedPair:
         """Read the meshes and the truth."""
 
 
@@ -98,7 +98,7 @@ class Pair:
         meshes = [path for path in (self.source_path, self.target_path) if not path.is_file()]
         return meshes + self.truth.missing()
 
-    def load(self) -> Problem:
+    def load(self) -> LoadedPair:
         """Read everything.
 
         Raises
@@ -113,4 +113,4 @@ class Pair:
             target, new_of_old = shuffled.mesh, shuffled.truth.target_points
             truth = truth.renumbered(target=new_of_old)
             mirrored = None if mirrored is None else mirrored.renumbered(target=new_of_old)
-        return Problem(self.name, source, target, truth, mirrored)
+        return LoadedPair(self.name, source, target, truth, mirrored)

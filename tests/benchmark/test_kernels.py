@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from clalign.benchmark.microbench import Size, ceilings, measure, measure_kernels
+from clalign.benchmark.kernels import Size, ceilings, measure, measure_kernels
 from clalign.engine.kernels import Kernels
 
 
 def test_every_costly_kernel_is_measured(kernels: Kernels, rng, monkeypatch):
-    monkeypatch.setattr("clalign.benchmark.microbench.ceilings", lambda *_: iter(()))
+    monkeypatch.setattr("clalign.benchmark.kernels.ceilings", lambda *_: iter(()))
     records = list(measure_kernels(kernels, [Size(100, 12, 20, 7)], repeats=1))
     names = {record.kernel for record in records}
     assert names == {

@@ -94,22 +94,10 @@ def atomic_folder(folder: Path, marker: str, *, force: bool = False) -> Iterator
     """
     folder = folder.absolute()
     check_destination(folder, marker, force=force)
-    temporary: Path | None = None
-    lock: int | None = None
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(folder)
-        temporary, lock = _locked_temporary(folder)
+    with _beside(folder, folder) as temporary:
         yield temporary
         _flush(temporary)
         _swap(temporary, folder)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise ResultError(f"{folder}: could not be written ({reason}); nothing was left half-written") from error
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
-        _unlock(lock)
 
 
 @contextlib.contextmanager
@@ -126,12 +114,7 @@ def atomic_files(paths: Sequence[Path], *, force: bool = False) -> Iterator[list
     """
     check_files(paths, force=force)
     main, *companions = (path.absolute() for path in paths)
-    temporary: Path | None = None
-    lock: int | None = None
-    try:
-        main.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(main)
-        temporary, lock = _locked_temporary(main)
+    with _beside(main, paths[0]) as temporary:
         yield [temporary / path.name for path in (main, *companions)]
         _flush(temporary)
         for path in companions:
@@ -139,9 +122,21 @@ def atomic_files(paths: Sequence[Path], *, force: bool = False) -> Iterator[list
         for path in (main, *companions):
             os.replace(temporary / path.name, path)
         _flush_one(main.parent)
+
+
+@contextlib.contextmanager
+def _beside(destination: Path, named: Path) -> Iterator[Path]:
+    """Yield a temporary folder beside a destination, which is `named` so where the operating system refuses."""
+    temporary: Path | None = None
+    lock: int | None = None
+    try:
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        _remove_leftovers(destination)
+        temporary, lock = _locked_temporary(destination)
+        yield temporary
     except OSError as error:
         reason = error.strerror or str(error)
-        raise ResultError(f"{paths[0]}: could not be written ({reason}); nothing was left half-written") from error
+        raise ResultError(f"{named}: could not be written ({reason}); nothing was left half-written") from error
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from clalign.collection.result import Collection
 from clalign.errors import InputError
 from clalign.mesh.mesh import Mesh, load_mesh
-from clalign.presentation.camera import front_view, turn_to
-from clalign.presentation.colours import UNMATCHED, position_colours
+from clalign.presentation.camera import facing_rotation, front_view
 from clalign.presentation.picture import draw_row
+from clalign.transfer.colours import UNMATCHED, position_colours
 from clalign.transfer.surface_map import vertex_map
 
 _HEIGHT = 300
 
 
 @dataclass(frozen=True)
-class Portrait:
+class ShapePicture:
     """The picture of one shape: (height, width, 3) uint8, and the shapes over which its colours came."""
 
     name: str
@@ -39,7 +39,7 @@ class _Reached:
     way: tuple[str, ...]
 
 
-def portraits(collection: Collection, *, height: int = _HEIGHT) -> Iterator[Portrait]:
+def shape_pictures(collection: Collection, *, height: int = _HEIGHT) -> Iterator[ShapePicture]:
     """Yield the picture of every shape that can be loaded, reference first, then outwards along the maps.
 
     Shapes that no chain of maps joins to the reference are grey. At any time only the shapes at the rim of what is
@@ -61,7 +61,7 @@ def portraits(collection: Collection, *, height: int = _HEIGHT) -> Iterator[Port
     seen = {order[0]}
     while rim:
         here = rim.popleft()
-        yield Portrait(here.name, _drawn(here, mesh, view, colours, height), here.way)
+        yield ShapePicture(here.name, _drawn(here, mesh, view, colours, height), here.way)
         for name in neighbours.get(here.name, ()):
             if name not in seen and name in meshes:
                 reached = _reached(collection, here, name, meshes[name])
@@ -75,7 +75,7 @@ def portraits(collection: Collection, *, height: int = _HEIGHT) -> Iterator[Port
             except InputError:
                 continue
             nowhere = _Reached(name, alone, np.full(alone.n_vertices, -1), ())
-            yield Portrait(name, _drawn(nowhere, mesh, view, colours, height), ())
+            yield ShapePicture(name, _drawn(nowhere, mesh, view, colours, height), ())
 
 
 def _neighbours(collection: Collection) -> dict[str, list[str]]:
@@ -105,7 +105,7 @@ def _drawn(
     known = shape.reference >= 0
     painted = np.where(known[:, None], colours[shape.reference], UNMATCHED)
     if np.count_nonzero(known) > 2:
-        turned = view @ turn_to(shape.mesh.vertices[known], reference.vertices[shape.reference[known]])
+        rotated = view @ facing_rotation(shape.mesh.vertices[known], reference.vertices[shape.reference[known]])
     else:
-        turned = front_view(shape.mesh.vertices)
-    return draw_row([(shape.mesh.vertices @ turned.T, shape.mesh.faces, painted)], height)
+        rotated = front_view(shape.mesh.vertices)
+    return draw_row([(shape.mesh.vertices @ rotated.T, shape.mesh.faces, painted)], height)

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from clalign.benchmark.generated import generated_pair
 from clalign.benchmark.pair_process import Request
-from clalign.benchmark.performance import bytes_text, exponent_text, fitted_exponent, markdown_table, seconds_text
+from clalign.benchmark.performance import bytes_text, exponent_text, fitted_exponent, seconds_text
+from clalign.benchmark.table import markdown_table
 from clalign.errors import ClalignError
 from clalign.mesh.writing import save_mesh
 from clalign.options import Options
@@ -161,17 +162,17 @@ def measure_scale(
 
 
 def _generated_match(size: int, options: Options, seed: int, environment: Mapping[str, str]) -> ScaleTime:
-    problem = generated_pair(size, seed)
+    pair = generated_pair(size, seed)
     with tempfile.TemporaryDirectory(prefix="clalign-") as folder:
         files = Path(folder) / "source.ply", Path(folder) / "target.ply"
-        for file, mesh in zip(files, (problem.source, problem.target), strict=True):
+        for file, mesh in zip(files, (pair.source, pair.target), strict=True):
             save_mesh(file, mesh.vertices, mesh.faces)
         found = Path(folder) / "map.npy"
         request = Request(str(files[0]), str(files[1]), "clalign", options.as_dict(), map=str(found))
         taken = timed_process(request, f"{size:,} vertices", environment)
         target_of_source: NDArray[np.int64] = np.load(found)
-    vertices = problem.target.vertices
-    missed = vertices[target_of_source] - vertices[problem.truth.target_points]
+    vertices = pair.target.vertices
+    missed = vertices[target_of_source] - vertices[pair.truth.target_points]
     return ScaleTime(size, taken, float(np.linalg.norm(missed, axis=1).mean()))
 
 
@@ -189,11 +190,11 @@ def stage_exponents(times: Sequence[ScaleTime]) -> dict[str, float | None]:
     return {name: fitted_exponent(sizes, seconds) for name, seconds in (stages | totals).items()}
 
 
-def pair_table(times: Sequence[PairTime]) -> str:
-    """Return a Markdown table with a column for every run and a row for every stage."""
+def pair_table(times: Sequence[PairTime], stages: bool = True) -> str:
+    """Return a Markdown table with a column for every run, and a row for every stage unless only totals are wanted."""
     rows = [
         [name, *("–" if name not in one.stages else seconds_text(one.stages[name]) for one in times)]
-        for name in stage_names(times)
+        for name in (stage_names(times) if stages else [])
     ]
     rows.append(["**total**", *(f"**{seconds_text(one.seconds)}**" for one in times)])
     rows.append(["processor time", *(seconds_text(one.work) for one in times)])
@@ -201,7 +202,7 @@ def pair_table(times: Sequence[PairTime]) -> str:
     reference = next((one.seconds for one in times if one.label == "pyFM"), None)
     if reference is not None:
         rows.append(["pyFM's time over it", *(f"{reference / one.seconds:.2f}×" for one in times)])
-    return markdown_table(["stage", *(one.label for one in times)], rows)
+    return markdown_table(["stage" if stages else "", *(one.label for one in times)], rows)
 
 
 def scale_table(times: Sequence[ScaleTime]) -> str:

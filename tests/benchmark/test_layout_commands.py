@@ -15,8 +15,8 @@ import shapes
 
 from clalign.benchmark import methods
 from clalign.benchmark.methods import Outcome
+from clalign.benchmark.pairs import LoadedPair
 from clalign.cli.main import main
-from clalign.evaluation.pairs import Problem
 
 if TYPE_CHECKING:
     from conftest import Pair
@@ -29,9 +29,9 @@ class Oracle:
     name: str
     settings: str = "1"
 
-    def __call__(self, problem: Problem) -> Outcome:
-        index = np.full(problem.source.file_count, -1, dtype=np.int64)
-        index[problem.truth.source_points] = problem.truth.target_points
+    def __call__(self, pair: LoadedPair) -> Outcome:
+        index = np.full(pair.source.file_count, -1, dtype=np.int64)
+        index[pair.truth.source_points] = pair.truth.target_points
         return Outcome(index, 0.1)
 
 

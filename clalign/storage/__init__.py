@@ -1,0 +1,1 @@
+"""Files and folders that are whole or not there, tables that grow row by row, and the user's cache folder."""

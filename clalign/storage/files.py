@@ -1,0 +1,92 @@
+"""Files that are replaced at once, sizes as text, and the folders in which the program keeps what it has computed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+try:
+    import fcntl
+except ImportError:  # Windows has no flock: every process compiles its kernels anew
+    fcntl = None  # type: ignore[assignment]
+
+KERNEL_VARIABLE = "POCL_CACHE_DIR"
+"""Environment variable with the folder in which PoCL keeps compiled kernels."""
+
+_kernel_lock: int | None = None
+_claim = threading.Lock()
+
+
+@contextlib.contextmanager
+def replaced_file(path: Path, *, durable: bool = False) -> Iterator[IO[bytes]]:
+    """Open a temporary file that takes the place of `path` when the block ends without an error, and is removed else.
+
+    durable : force the content to the disk first, so that a power cut leaves the old file or the new one.
+    """
+    unfinished = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
+    try:
+        with unfinished.open("xb") as stream:
+            yield stream
+            if durable:
+                stream.flush()
+                os.fsync(stream.fileno())
+        os.replace(unfinished, path)
+    finally:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+
+
+def size_text(size: float) -> str:
+    """Return a number of bytes as people read it."""
+    if size >= 2**30:
+        return f"{size / 2**30:.1f} GiB"
+    for unit, name in ((2**20, "MiB"), (2**10, "KiB")):
+        if size >= unit:
+            return f"{size / unit:.0f} {name}"
+    return f"{size:.0f} bytes"
+
+
+def cache_folder() -> Path:
+    """Return the folder named by the environment variable ``CLALIGN_CACHE``, or the user's cache folder."""
+    named = os.environ.get("CLALIGN_CACHE", "")
+    if named:
+        return Path(named).expanduser()
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("clalign"))
+
+
+def claim_kernel_folder() -> None:
+    """Give this process a folder of compiled kernels that no other process writes to, and keep it until the end.
+
+    PoCL's breaks when several processes write to it. Folders are numbered and used again by later processes, so that
+    kernels are compiled once a worker, not once a run. Works only before the driver is loaded.
+    """
+    global _kernel_lock
+    with _claim:
+        if _kernel_lock is not None:
+            return
+        if fcntl is None:
+            os.environ[KERNEL_VARIABLE] = tempfile.mkdtemp(prefix="clalign-kernels-")
+            _kernel_lock = -1
+            return
+        named = os.environ.get(KERNEL_VARIABLE)
+        root = Path(named) if named else cache_folder() / "kernels"
+        number = 0
+        while _kernel_lock is None:
+            folder = root / f"worker-{number}"
+            folder.mkdir(parents=True, exist_ok=True)
+            handle = os.open(folder, os.O_RDONLY)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _kernel_lock = handle
+            except OSError:
+                os.close(handle)
+                number += 1
+        os.environ[KERNEL_VARIABLE] = str(folder)

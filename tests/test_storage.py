@@ -1,0 +1,109 @@
+"""Files that are whole or not there, and tables that grow row by row."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from clalign.errors import ResultError
+from clalign.storage.files import KERNEL_VARIABLE, replaced_file, size_text
+from clalign.storage.rows import RowFile, append_rows, complete_rows
+
+
+@dataclass(frozen=True)
+class Measured:
+    name: str
+    length: float | None = None
+    count: int | None = None
+    sound: bool | None = None
+    values: tuple[float, ...] = field(default=(), metadata={"stored": False})
+
+
+def test_a_file_is_replaced_when_the_new_one_is_complete(tmp_path: Path) -> None:
+    path = tmp_path / "document.txt"
+    with replaced_file(path) as stream:
+        stream.write(b"first")
+        assert not path.exists()
+    with replaced_file(path, durable=True) as stream:
+        stream.write(b"second")
+        assert path.read_bytes() == b"first"
+    assert path.read_bytes() == b"second"
+    with contextlib.suppress(KeyboardInterrupt), replaced_file(path) as stream:
+        stream.write(b"half of the thi")
+        raise KeyboardInterrupt
+    assert path.read_bytes() == b"second"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_rows_of_every_type_survive_the_file(tmp_path: Path) -> None:
+    file = RowFile(tmp_path / "rows.csv", Measured, digits=4)
+    assert file.read() == []
+    rows = [Measured('two\nlines, a comma and a "quote"', 1.5, 3, True, (1.0,)), Measured("b", sound=False)]
+    for row in rows:
+        file.append(row)
+    read = [Measured('two lines, a comma and a "quote"', 1.5, 3, True), *rows[1:]]
+    assert file.read() == read
+    file.write([Measured("long", 0.123456), Measured("c")])
+    assert file.path.read_text() == "name,length,count,sound\nlong,0.1235,,\nc,,,\n"
+    assert list(tmp_path.iterdir()) == [file.path]
+
+
+def test_a_line_that_was_cut_short_costs_only_itself(tmp_path: Path) -> None:
+    path, header = tmp_path / "rows.csv", ["name", "text"]
+    first, last = ["a", "1"], ["c", "37"]
+    for cut in range(1, 21):
+        path.unlink(missing_ok=True)
+        append_rows(path, header, [first, ["b", "quoted, and cut"]])
+        path.write_bytes(path.read_bytes()[:-cut])
+        assert complete_rows(path, header) == [first]
+        append_rows(path, header, [last])
+        assert complete_rows(path, header) == [first, last]
+    path.write_bytes(b"name,te")
+    assert complete_rows(path, header) == []
+    append_rows(path, header, [last])
+    assert complete_rows(path, header) == [last]
+
+
+def test_a_table_of_another_kind_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "rows.csv").write_text("x,y\n1,2\n")
+    with pytest.raises(ResultError, match=r"rows\.csv: was not written by this version"):
+        RowFile(tmp_path / "rows.csv", Measured).read()
+
+
+def test_sizes_are_written_as_people_read_them() -> None:
+    assert [size_text(size) for size in (999, 3 * 2**10, 18.4 * 2**20, 1.25 * 2**30)] == [
+        "999 bytes",
+        "3 KiB",
+        "18 MiB",
+        "1.2 GiB",
+    ]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders are locked with flock")
+def test_processes_at_once_have_kernel_folders_of_their_own_and_later_ones_use_them_again(tmp_path: Path) -> None:
+    program = (
+        "import os, sys; from clalign.storage.files import claim_kernel_folder as claim; claim(); claim();"
+        f"print(os.environ[{KERNEL_VARIABLE!r}], flush=True); sys.stdin.read()"
+    )
+    environment = {**os.environ, KERNEL_VARIABLE: str(tmp_path)}
+
+    def folders(count: int) -> list[str]:
+        pipe = subprocess.PIPE
+        running = [
+            subprocess.Popen([sys.executable, "-c", program], stdin=pipe, stdout=pipe, text=True, env=environment)
+            for _ in range(count)
+        ]
+        claimed = [process.stdout.readline().strip() for process in running if process.stdout is not None]
+        for process in running:
+            process.communicate()
+        return sorted(claimed)
+
+    wanted = [str(tmp_path / f"worker-{number}") for number in range(2)]
+    assert folders(2) == wanted
+    assert folders(1) == wanted[:1]
