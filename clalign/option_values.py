@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import json
 import types
 import warnings
@@ -29,6 +30,11 @@ REMOVED: Mapping[str, tuple[Any, ...]] = {
     "spectrum.solver": ("block",),
 }
 """Options that are gone, with the values that are what is done now."""
+
+
+@functools.cache
+def _hints(kind: type) -> Mapping[str, Any]:
+    return get_type_hints(kind)
 
 
 def translated(changes: Mapping[str, Any], *, warn: bool) -> dict[str, Any]:
@@ -81,7 +87,7 @@ def replaced(options: Group, changes: Mapping[str, Any]) -> Group:
 
 def leaves(options: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the dotted name and the type of every value of a nested dataclass."""
-    hints = get_type_hints(type(options))
+    hints = _hints(type(options))
     for entry in dataclasses.fields(options):
         value, key = getattr(options, entry.name), f"{prefix}{entry.name}"
         if dataclasses.is_dataclass(value):
@@ -91,7 +97,7 @@ def leaves(options: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _replaced(options: Any, changes: Mapping[str, Any], prefix: str) -> Any:
-    hints, values = get_type_hints(type(options)), {}
+    hints, values = _hints(type(options)), {}
     for entry in dataclasses.fields(options):
         key, current = f"{prefix}{entry.name}", getattr(options, entry.name)
         if dataclasses.is_dataclass(current):
@@ -141,7 +147,7 @@ def _items(value: Any, key: str) -> Sequence[Any]:
 def _built(value: Any, kind: Any, key: str) -> Any:
     if isinstance(value, kind):
         return value
-    hints = get_type_hints(kind)
+    hints = _hints(kind)
     if not isinstance(value, Mapping) or value.keys() - hints.keys():
         raise OptionError(f"{key} must hold values of {', '.join(hints)}, got {value!r}")
     try:

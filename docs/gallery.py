@@ -22,7 +22,7 @@ QUICK = {
     "geodesics.factor_samples": 40,
     "geodesics.search_samples": 400,
     "alignment.samples": 400,
-    "alignment.rounds": 1,
+    "alignment.outer_iterations": 1,
     "alignment.iterations": 6,
 }
 

@@ -17,7 +17,7 @@ CHANGES = {
     "spectrum.descriptors": 40,
     "geodesics.search_samples": 100,
     "geodesics.factor_samples": 40,
-    "search.method": "signs",
+    "search.method": "tree",
 }
 OPTIONS = Options.preset("fast").replace(CHANGES)
 ARGUMENTS = ["--preset", "fast", *(part for name, value in CHANGES.items() for part in ("--set", f"{name}={value}"))]

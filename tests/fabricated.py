@@ -45,8 +45,8 @@ def correspondence(source: Arrays, target: Arrays, truth: NDArray[np.int64]) -> 
         source_descriptors=replace(source_basis, functions=source_basis.functions * signs),
         target_descriptors=target_basis,
         history=(
-            {"round": 0.0, "evaluation": 0.0, "total": 3.0, "align": 1.0, "unsup": 0.01},
-            {"round": 0.0, "evaluation": 1.0, "total": 2.5, "align": 0.9, "unsup": 0.008, "cycle": 0.5},
+            {"outer_iteration": 0.0, "evaluation": 0.0, "total": 3.0, "align": 1.0, "unsup": 0.01},
+            {"outer_iteration": 0.0, "evaluation": 1.0, "total": 2.5, "align": 0.9, "unsup": 0.008, "cycle": 0.5},
         ),
         losses={"total": 2.5, "align": 0.9, "unsup": 0.008, "cycle": float("nan")},
         confidence=0.75,
@@ -112,7 +112,7 @@ def fabricate(
         source_descriptors=Spectrum(source_si.eigenvalues, source_si.functions * signs, source_si.mass),
         target_descriptors=target_si,
         history=tuple(
-            {"round": step // 8, "evaluation": step, "total": 3.0 * 0.9**step + 1, "align": 0.2 * 0.95**step}
+            {"outer_iteration": step // 8, "evaluation": step, "total": 3.0 * 0.9**step + 1, "align": 0.2 * 0.95**step}
             | {"unsup": 0.014 * 0.9**step + 0.004, "cycle": 0.0, "unitarity": 0.01 + 0.001 * step}
             for step in range(20)
         ),

@@ -8,7 +8,15 @@ from typing import NamedTuple
 
 #: Few functions, no search, one short round: every stage runs, none for long.
 QUICK = [
-    *("--no-picture", "--no-report", "--quiet", "--set", "search.method=random", "--set", "alignment.rounds=1"),
+    *(
+        "--no-picture",
+        "--no-report",
+        "--quiet",
+        "--set",
+        "search.method=random",
+        "--set",
+        "alignment.outer_iterations=1",
+    ),
     *("--set", "alignment.iterations=5", "--set", "spectrum.descriptors=24", "--set", "spectrum.basis=16"),
     *("--set", "spectrum.refinement=16", "--set", "geodesics.search_samples=60", "--set", "readout.steps=0"),
 ]

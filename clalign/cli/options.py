@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import operator
 import re
 import textwrap
 
@@ -23,22 +24,27 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--preset", metavar="NAME", default="default", help="preset whose values are shown (default: %(default)s)"
     )
+    parser.add_argument(
+        "--rules", action="store_true", help="list the numbers inside the method instead, which --set changes, too"
+    )
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the list."""
+    from clalign.option_values import leaves
     from clalign.options import Options
 
     chosen = Options.preset(args.preset)
-    for group_name, values in chosen.as_dict().items():
-        if not isinstance(values, dict):
-            print(f"{group_name}={values}\n    fixes everything that is drawn")
+    for name, _ in leaves(chosen):
+        if name.startswith("rules.") != args.rules:
             continue
-        meanings = described(type(getattr(chosen, group_name)))
-        for name, value in values.items():
-            print(f"{group_name}.{name}={str(value).lower() if isinstance(value, bool) else value}")
-            print(textwrap.fill(meanings[name], _WIDTH, initial_indent="    ", subsequent_indent="    "))
+        group, _, option = name.rpartition(".")
+        value = operator.attrgetter(name)(chosen)
+        shown = ",".join(str(each) for each in value) if isinstance(value, tuple) else value
+        print(f"{name}={str(shown).lower() if isinstance(value, bool) else shown}")
+        meanings = described(type(operator.attrgetter(group)(chosen))) if group else {"seed": "fixes everything drawn"}
+        print(textwrap.fill(meanings[option], _WIDTH, initial_indent="    ", subsequent_indent="    "))
     return 0
 
 

@@ -43,9 +43,9 @@ def test_options_of_its_own_and_a_name() -> None:
 
 
 def test_what_a_text_says_outweighs_what_holds_for_all() -> None:
-    changes = {"alignment.rounds": "7"}
-    assert align_method("closed-form", changes).options.alignment.rounds == 0
-    assert align_method("default", changes).options.alignment.rounds == 7
+    changes = {"alignment.outer_iterations": "7"}
+    assert align_method("closed-form", changes).options.alignment.outer_iterations == 0
+    assert align_method("default", changes).options.alignment.outer_iterations == 7
 
 
 def test_a_list_is_split_outside_of_brackets() -> None:
@@ -90,7 +90,12 @@ def test_what_is_taken_from_the_truth(tmp_path: Path) -> None:
     mirror = datasets.write_poses(tmp_path / "egg", ["egg1", "egg2"])
     datasets.write_numbers(tmp_path / "egg" / "mirror.txt", mirror)
     pair = animals(tmp_path / "egg")[0].pairs[0].load()
-    quick = {"alignment.rounds": 0, "spectrum.descriptors": 24, "spectrum.basis": 16, "spectrum.refinement": 16}
+    quick = {
+        "alignment.outer_iterations": 0,
+        "spectrum.descriptors": 24,
+        "spectrum.basis": 16,
+        "spectrum.refinement": 16,
+    }
     plain, signs, isometric = (
         align_method(text, {**quick, "engine.backend": "reference"}).correspondence(pair)
         for text in ("paper", "paper-mirrored", "paper-isometric")

@@ -35,7 +35,7 @@ from clalign.options import Options
 
 QUICK = {
     "search.method": "random",
-    "alignment.rounds": 1,
+    "alignment.outer_iterations": 1,
     "alignment.iterations": 3,
     "spectrum.descriptors": 24,
     "spectrum.basis": 16,

@@ -116,7 +116,12 @@ def test_a_match_that_was_cut_short_is_no_row(
         return plain(*arguments)
 
     monkeypatch.setattr(rounds, "read_out", interrupted)
-    quick = {"search.method": "random", "alignment.rounds": 0, "spectrum.descriptors": 24, "spectrum.basis": 16}
+    quick = {
+        "search.method": "random",
+        "alignment.outer_iterations": 0,
+        "spectrum.descriptors": 24,
+        "spectrum.basis": 16,
+    }
     options = Options().replace({**quick, "spectrum.refinement": 16, "engine.backend": "reference"})
     with pytest.raises(KeyboardInterrupt):
         run(layouts, [AlignMethod("own", options)], tmp_path / "out")

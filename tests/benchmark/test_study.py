@@ -16,7 +16,9 @@ from clalign.options import Options
 
 
 @pytest.mark.parametrize("name", STUDIES)
-@pytest.mark.parametrize("changes", [{}, {"alignment.weight": 77.0, "spectrum.xi": 0.33, "alignment.rounds": 4}])
+@pytest.mark.parametrize(
+    "changes", [{}, {"alignment.weight": 77.0, "spectrum.xi": 0.33, "alignment.outer_iterations": 4}]
+)
 def test_every_study_has_the_base_and_different_rows(name: str, changes: dict[str, float]) -> None:
     base = Options().replace(changes)
     settings = study_of(name, base).settings

@@ -96,7 +96,9 @@ def interrupted(
     An endless stage is repeated until the interrupt comes: on so small a pair it may be over before.
     """
     # Long enough for the interrupt to come in time, however busy the machine is.
-    changes = ["readout.steps=500"] if stage == "read-out" else ["alignment.rounds=50", "alignment.iterations=1000"]
+    changes = (
+        ["readout.steps=500"] if stage == "read-out" else ["alignment.outer_iterations=50", "alignment.iterations=1000"]
+    )
     extra = [word for change in changes for word in ("--set", change)]
     words = command(files, out, *extra, "--no-report", "--no-picture")
     process = subprocess.Popen(

@@ -135,8 +135,8 @@ OPTIONS = Options().replace(
         "spectrum.descriptors": 40,
         "geodesics.search_samples": 300,
         "geodesics.factor_samples": 40,
-        "search.method": "signs",
-        "alignment.rounds": 1,
+        "search.method": "tree",
+        "alignment.outer_iterations": 1,
         "alignment.iterations": 8,
         "engine.backend": "reference",
     }

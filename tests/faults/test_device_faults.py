@@ -214,7 +214,9 @@ def test_errors_of_the_device_stay_what_they_are_in_python(
     from clalign.options import Options
 
     failing_launch(monkeypatch, 2)
-    options = Options().replace({"search.method": "random", "alignment.rounds": 1, "spectrum.descriptors": 24})
+    options = Options().replace(
+        {"search.method": "random", "alignment.outer_iterations": 1, "spectrum.descriptors": 24}
+    )
     with pytest.raises(DeviceError, match="OUT_OF_RESOURCES") as caught:
         clalign.match(*pair, options)
     assert type(caught.value.__cause__).__module__.startswith("pyopencl")

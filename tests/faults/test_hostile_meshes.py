@@ -103,7 +103,7 @@ def test_a_million_duplicated_vertices_are_refused_and_can_be_joined(run: Run, t
 def test_wildly_different_shapes_get_a_warning_with_the_confidence() -> None:
     """A torus has no map to a sphere that deserves trust."""
     body = shapes.bumpy_sphere(2)
-    options = Options().replace({"engine.backend": "reference", "alignment.rounds": 0})
+    options = Options().replace({"engine.backend": "reference", "alignment.outer_iterations": 0})
     with (
         pytest.warns(ConfidenceWarning, match="turned inside out"),
         pytest.warns(ConfidenceWarning, match=r"low confidence .* ask for --alternatives 3"),
@@ -111,7 +111,7 @@ def test_wildly_different_shapes_get_a_warning_with_the_confidence() -> None:
         result = clalign.match(body, malformed.ring(), options)
     with (
         pytest.warns(ConfidenceWarning, match="turned inside out"),
-        pytest.warns(ConfidenceWarning, match=r"low confidence .* see the rivals on the page"),
+        pytest.warns(ConfidenceWarning, match=r"low confidence .* see the alternatives on the page"),
     ):
         more = clalign.match(body, malformed.ring(), options.replace({"search.alternatives": 500}))
     assert f"only {len(more.alternatives)} different map" in more.warnings[0]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from quick import QUICK, Run, left_in
 
-from clalign.alignment.objective import AlignmentProblem, Evaluation
+from clalign.alignment.objective import Objective, Evaluation
 from clalign.correspondence import Correspondence
 
 
@@ -41,7 +41,7 @@ def test_before_the_first_map_nothing_is_kept(
 
 #: A search and every step that can follow it.
 WHOLE = [
-    *("--set", "search.method=signs", "--set", "spectrum.metric=auto", "--set", "spectrum.refinement=30"),
+    *("--set", "spectrum.metric=auto", "--set", "spectrum.refinement=30"),
     *("--set", "readout.steps=1", "--set", "readout.subvertex=true", "--set", "search.alternatives=1", "--no-cache"),
 ]
 
@@ -62,11 +62,11 @@ def once(monkeypatch: pytest.MonkeyPatch, place: str, after: int = 0) -> None:
     monkeypatch.setattr(owner, name, interrupted)
 
 
-@pytest.mark.parametrize("room", ["clalign.matching.stages", "clalign.search.find"])
+@pytest.mark.parametrize("place", ["clalign.matching.stages.find_isometry", "clalign.search.find.ranked"])
 def test_during_the_search_nothing_is_kept(
-    match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: str
+    match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
-    once(monkeypatch, f"{room}.{'find_isometry' if room.endswith('pipeline') else 'ranked'}")
+    once(monkeypatch, place)
     shown = match(tmp_path / "out", *WHOLE)
     assert (shown.status, shown.out) == (130, "")
     assert shown.err.splitlines()[-1] == "interrupted: there was nothing to keep yet"
@@ -76,19 +76,18 @@ def test_during_the_search_nothing_is_kept(
 @pytest.mark.parametrize(
     ("place", "after"),
     [
-        ("clalign.matching.stages.grown_maps", 0),
-        ("clalign.matching.stages.piecewise_maps", 0),
-        ("clalign.matching.stages.grown_maps", 1),
+        ("clalign.matching.stages.refined_maps", 0),
+        ("clalign.matching.stages.patchwise_maps", 0),
+        ("clalign.matching.stages.refined_maps", 1),
         ("clalign.matching.stages.choose_metric", 0),
-        ("clalign.matching.stages.closed_form_rotation", 0),
+        ("clalign.matching.stages.least_squares_start", 0),
         ("clalign.matching.stages.bind", 0),
         ("clalign.alignment.alternation.hard_map", 0),
         ("clalign.alignment.alternation.read_out", 0),
-        ("clalign.alignment.objective.AlignmentProblem.functional_map", 0),
-        ("clalign.matching.stages.coherent_embeddings", 0),
-        ("clalign.matching.stages.point_maps", 0),
+        ("clalign.alignment.objective.Objective.functional_map", 0),
+        ("clalign.matching.stages.two_way_step", 0),
         ("clalign.matching.stages.closest_points", 0),
-        ("clalign.matching.pair.local_distortion", 0),
+        ("clalign.matching.result.local_distortion", 0),
     ],
 )
 def test_from_the_first_map_on_the_best_is_kept(
@@ -109,8 +108,8 @@ def test_from_the_first_map_on_the_best_is_kept(
 
 
 def test_a_second_interrupt_gives_up(match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    once(monkeypatch, "clalign.matching.stages.piecewise_maps")
-    once(monkeypatch, "clalign.matching.stages.closed_form_rotation")
+    once(monkeypatch, "clalign.matching.stages.patchwise_maps")
+    once(monkeypatch, "clalign.matching.stages.least_squares_start")
     shown = match(tmp_path / "out", *WHOLE)
     assert shown.status == 130
     assert left_in(tmp_path) == []
@@ -143,17 +142,17 @@ def test_the_alignment_keeps_the_best_so_far_and_says_so(
     match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     """The interrupt comes at an evaluation of the objective; a first run shows what the later ones have lost."""
-    plain, count = AlignmentProblem.value_and_gradient, 0
+    plain, count = Objective.value_and_gradient, 0
 
-    def evaluate(self: AlignmentProblem, *arguments: Any) -> Evaluation:
+    def evaluate(self: Objective, *arguments: Any) -> Evaluation:
         nonlocal count
         count += 1
         if count == number:
             raise KeyboardInterrupt
         return plain(self, *arguments)
 
-    monkeypatch.setattr(AlignmentProblem, "value_and_gradient", evaluate)
-    extra = ("--no-cache", "--set", "alignment.rounds=3", "--set", "alignment.iterations=40")
+    monkeypatch.setattr(Objective, "value_and_gradient", evaluate)
+    extra = ("--no-cache", "--set", "alignment.outer_iterations=3", "--set", "alignment.iterations=40")
     shown = match(tmp_path / "out", *extra)
     assert shown.status == 0
     assert "warning: interrupted" in shown.err

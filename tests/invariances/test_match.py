@@ -29,7 +29,7 @@ OPTIONS = Options().replace(
         "geodesics.factor_samples": 60,
         "geodesics.search_samples": 250,
         "alignment.samples": 250,
-        "alignment.rounds": 2,
+        "alignment.outer_iterations": 2,
         "alignment.iterations": 8,
     }
 )

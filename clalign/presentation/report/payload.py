@@ -148,7 +148,7 @@ def _agreement(
 
 
 def _history(correspondence: Correspondence) -> dict[str, list[float | None]]:
-    columns = {"round": [finite_or_none(entry.get("round", 0)) for entry in correspondence.history]}
+    columns = {"outer_iteration": [finite_or_none(entry.get("outer_iteration", 0)) for entry in correspondence.history]}
     for name in _HISTORY_LINES:
         values = [finite_or_none(entry.get(name, math.nan)) for entry in correspondence.history]
         if any(value is not None and value != 0 for value in values):

@@ -67,20 +67,20 @@ function fillAlternatives(choose) {
 
 function fillHistory() {
   const body = document.getElementById("history-body");
-  const { round, ...lines } = facts.history;
-  if (!round.length || !Object.keys(lines).length) {
-    body.append(make("p", { class: "hint" }, "No alignment rounds were run, so there is nothing to draw."));
+  const { outer_iteration: iteration, ...lines } = facts.history;
+  if (!iteration.length || !Object.keys(lines).length) {
+    body.append(make("p", { class: "hint" }, "The alignment made no outer iteration, so there is nothing to draw."));
     return;
   }
-  const x = round.map((_, evaluation) => evaluation + 1);
-  const marks = x.filter((_, i) => i > 0 && round[i] !== round[i - 1]).map((value) => value - 0.5);
+  const x = iteration.map((_, evaluation) => evaluation + 1);
+  const marks = x.filter((_, i) => i > 0 && iteration[i] !== iteration[i - 1]).map((value) => value - 0.5);
   const charts = Object.entries(lines).map(([name, y]) => {
     const known = y.filter((value) => value !== null);
     const summary = `${name}: from ${readable(known[0], 4)} to ${readable(known[known.length - 1], 4)}`;
     return lineChart({ x, y, marks, caption: HISTORY_NAMES[name], summary });
   });
-  body.append(make("p", { class: "hint" }, `${x.length} evaluations in ${new Set(round).size} rounds; a dashed line `
-    + "begins a new round: the map inside the losses is renewed and λ takes its next value, so the curves may jump there."));
+  body.append(make("p", { class: "hint" }, `${x.length} evaluations in ${new Set(iteration).size} outer iterations; a dashed line `
+    + "begins a new one: the map inside the losses is renewed and λ takes its next value, so the curves may jump there."));
   body.append(make("div", { class: "charts" }, ...charts));
 }
 
