@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from clalign.alignment.objective import AlignmentProblem, Distortions
 from clalign.alignment.problem_data import AlignedSide, SampledFactors
-from clalign.engine.backend import Backend, Band
+from clalign.engine.backend import Backend
+from clalign.engine.band import Band
 from clalign.engine.reference_arrays import reciprocal
 from clalign.errors import OptionError
 from clalign.geometry.geodesics import all_pairs

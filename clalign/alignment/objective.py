@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from clalign.alignment.problem_data import AlignedSide, SampledFactors
 from clalign.alignment.soft_map import QuadraticForm, SoftForm, cheaper_form, quadratic_form
-from clalign.engine.backend import Backend, Band
-from clalign.engine.reference_arrays import band_positions
+from clalign.engine.backend import Backend
+from clalign.engine.band import Band
 from clalign.maps.nearest import Orders
 from clalign.options import AlignmentOptions
 
@@ -111,7 +111,7 @@ class AlignmentProblem:
     ) -> None:
         self.source, self.target, self.factors = source, target, factors
         self.band, self.backend, self.options = band, backend, options
-        self._positions = band_positions(band)
+        self._positions = band.positions
         array = backend.array
         self._projection_x, self._projection_y = array(source.projection), array(target.projection)
         self._turned_projection_x = backend.transpose(self._projection_x)

@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.engine.backend import Band
+from clalign.engine.band import Band
 from clalign.engine.kernels import Kernels
-from clalign.engine.reference import Reference
-from clalign.engine.reference_soft import pair_count
+from clalign.engine.reference import Reference, pair_count
 
 Values = NDArray[np.float32]
 Run = Callable[[], object]

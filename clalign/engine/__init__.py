@@ -1,29 +1,9 @@
-"""The arithmetic: one protocol, a numpy reference and OpenCL kernels behind it."""
+"""The arithmetic: OpenCL kernels, and the numpy reference that specifies them."""
 
 from __future__ import annotations
 
-from clalign.engine.backend import Array, Backend, Band
+from clalign.engine.backend import Backend, open_backend
+from clalign.engine.band import Band
 from clalign.engine.reference import Reference
-from clalign.options import EngineOptions
 
-__all__ = ["Array", "Backend", "Band", "Reference", "open_backend"]
-
-
-def open_backend(options: EngineOptions | None = None) -> Backend:
-    """Open the backend that the options name.
-
-    Parameters
-    ----------
-    options : backend, device, precision and memory limit; None takes the defaults.
-
-    Raises
-    ------
-    DeviceError
-        No usable OpenCL device, or the one asked for is not there; the message lists what is.
-    """
-    chosen = EngineOptions() if options is None else options
-    if chosen.backend == "reference":
-        return Reference()
-    from clalign.engine.kernels import open_kernels
-
-    return open_kernels(chosen)
+__all__ = ["Backend", "Band", "Reference", "open_backend"]

@@ -18,7 +18,8 @@ from clalign.alignment.objective import AlignmentProblem, Evaluation
 from clalign.alignment.problem_data import aligned_side, sampled_factors
 from clalign.alignment.rotation import StartingRotation, random_rotation
 from clalign.ctrl_c import plain_interrupts
-from clalign.engine.backend import Backend, Band
+from clalign.engine.backend import Backend
+from clalign.engine.band import Band
 from clalign.geometry.shape import Shape, equally_smoothed
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.functional_maps import PointMaps, point_maps

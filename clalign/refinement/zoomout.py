@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from clalign.alignment.band import band_mask
 from clalign.alignment.rotation import StartingRotation, starting_rotation
-from clalign.engine.backend import Backend, Band
+from clalign.engine.backend import Backend
+from clalign.engine.band import Band
 from clalign.geometry.shape import Shape
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.functional_maps import (

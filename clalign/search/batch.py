@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.engine.backend import Backend, DistortionKind
+from clalign.engine.backend import Backend
+from clalign.engine.reference import DistortionKind
 from clalign.search.once import once
 from clalign.search.sampled import SampledShape
 

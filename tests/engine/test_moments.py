@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from clalign.engine.reference_soft import pair_count, pair_factor
 
 from clalign.engine.kernels_soft import pair_runs, tile_rows
 from clalign.engine.reference import Reference
-from clalign.engine.reference_soft import pair_count, pair_factor
 
 SIZES = [(1, 1, 1), (97, 13, 7), (257, 40, 50), (1025, 33, 25)]
 
