@@ -8,7 +8,7 @@ import functools
 import json
 import types
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from clalign.errors import ClalignWarning, OptionError
@@ -32,9 +32,7 @@ REMOVED: Mapping[str, tuple[Any, ...]] = {
 """Options that are gone, with the values that are what is done now."""
 
 
-@functools.cache
-def _hints(kind: type) -> Mapping[str, Any]:
-    return get_type_hints(kind)
+_hints: Callable[[Any], Mapping[str, Any]] = functools.cache(get_type_hints)
 
 
 def translated(changes: Mapping[str, Any], *, warn: bool) -> dict[str, Any]:

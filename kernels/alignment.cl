@@ -10,7 +10,7 @@
  * band_rows:        launch (d); lower (d), offsets (d + 1) int; r, other, slope (d, d); partial (2, d): row sums of
  *                   <R, slope> and <R, other>
  * alignment_values: launch (1); g_y (d, d) one-sided, else NULL; numerator, denominator (1)
- * numpy twin: clalign.engine.reference_losses.ReferenceLosses.alignment
+ * numpy twin: clalign.engine.reference.Reference.alignment
  */
 KERNEL void band_rows(const int d, const real factor, __global const int *restrict lower, __global const int *restrict offsets,
                       __global const real *restrict r, __global const real *restrict other, __global real *restrict slope,

@@ -8,7 +8,7 @@
  * distortion_parts: launch (parts, maps); rows (maps, m) int; dx (p, p); dy (m, m); w (m); partial (maps, parts): part q
  *                   sums rows i = q DB .. (q + 1) DB - 1; finish_rows of reduce.cl adds the parts
  * map_distance:     launch (ceil(maps / W), maps); index (m, maps); distance (maps, maps)
- * numpy twins: clalign.engine.reference_search.ReferenceSearches.distortion_batch, map_distance
+ * numpy twins: clalign.engine.reference.Reference.distortion_batch, map_distance
  */
 #ifndef RELATIVE
 #define RELATIVE 0

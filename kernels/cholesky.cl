@@ -4,7 +4,7 @@
  *            share the rows of a column, whose entries are dot products of finished rows. A negative pivot gives NaN.
  * solve_rows: launch (ceil(m / W)); rhst (row panels, k, W): rhs transposed by pack_panels, overwritten; factor (k, k);
  *            x (m, k). L y = rhs_j^T by rows of L, then L^T x = y, again by rows of L.
- * numpy twin: clalign.engine.reference_arrays.ReferenceArrays.solve_right
+ * numpy twin: clalign.engine.reference.Reference.solve_right
  */
 #ifndef CHOLESKY_ITEMS
 #define CHOLESKY_ITEMS 8 /* work-items of the one group that factorises */

@@ -9,7 +9,7 @@
  * transpose:   launch (ceil(columns / TB)), TB rows of the result each; out (columns, rows) = a (rows, columns)
  * band_expand: matrix (d, d) from values, lower (d), offsets (d + 1): row i holds columns lower[i] on
  * band_gather: values from matrix
- * numpy twins: clalign.engine.reference_arrays.ReferenceArrays (same names; row_dots: numpy.sum(a * b, axis=1))
+ * numpy twins: clalign.engine.reference.Reference (same names; row_dots: numpy.sum(a * b, axis=1))
  */
 #ifndef EB
 #error "EB must be given: the elements of one work-item"

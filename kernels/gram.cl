@@ -1,4 +1,5 @@
-/* Gram matrices of tall matrices on a CPU: C (m, n) = A^T diag(weight) B with A (depth, m), B (depth, n), depth >> m, n.
+/* Gram matrices C (m, n) = A^T diag(weight) B of A (depth, m) and B (depth, n), depth >> m, n, for devices of a class whose
+ * work-items each have a cache.
  *
  * One work-item owns one part of the rows of C and one split of the depth, over which it goes in blocks of KB: it packs
  * the block of B in panels and each tile of columns of A just before they are used, so both stay in its caches. Sums are
@@ -8,8 +9,8 @@
  * gram:        launch (parts, splits); part q owns row groups q groups .. (q + 1) groups - 1, split s sums depth
  *              s split_depth .. (s + 1) split_depth - 1; a (depth, m); b (depth, n); weight (depth) or NULL;
  *              packed (splits, parts, (column panels W + RT) KB) scratch; partial (splits, row groups, column panels, RT, W)
- * gather_gram: launch (row groups): c (m, n) = sum over splits of partial; when `turned` is set its transpose, c (n, m)
- * numpy twin: clalign.engine.reference_arrays.ReferenceArrays.weighted_gram
+ * gather_gram: launch (row groups): c (m, n) = sum over splits of partial; when `transposed` is set its transpose, c (n, m)
+ * numpy twin: clalign.engine.reference.Reference.weighted_gram
  */
 #ifndef KB
 #define KB 128 /* depth of a block */
@@ -78,7 +79,7 @@ KERNEL void gram(const int m, const int n, const int depth, const int parts, con
 }
 
 KERNEL void gather_gram(const int m, const int n, const int splits, const int symmetric,
-                        const int turned, __global const real *restrict partial, __global real *restrict c)
+                        const int transposed, __global const real *restrict partial, __global real *restrict c)
 {
     const int group = get_global_id(0), group_count = (m + RT - 1) / RT, panel_count = (n + W - 1) / W;
     if (group >= group_count) return;
@@ -95,7 +96,7 @@ KERNEL void gather_gram(const int m, const int n, const int splits, const int sy
                 sum1 += LOAD(__global, from + split * stride + V);
             }
             __global real *to = c + (size_t)row * n + panel * W;
-            if (width == W && !symmetric && !turned) {
+            if (width == W && !symmetric && !transposed) {
                 STORE(__global, to, sum0);
                 STORE(__global, to + V, sum1);
                 continue;
@@ -104,8 +105,8 @@ KERNEL void gather_gram(const int m, const int n, const int splits, const int sy
             STORE(__private, line, sum0);
             STORE(__private, line + V, sum1);
             for (int j = symmetric ? max(0, row - panel * W) : 0; j < width; ++j) {
-                if (!turned) to[j] = line[j];
-                if (symmetric || turned) c[(size_t)(panel * W + j) * m + row] = line[j];
+                if (!transposed) to[j] = line[j];
+                if (symmetric || transposed) c[(size_t)(panel * W + j) * m + row] = line[j];
             }
         }
     }

@@ -4,16 +4,16 @@
  *
  * A lane is a pair: a panel holds two runs of V pairs (a, b .. b + V - 1) named by `runs`; lanes with b >= k are not stored.
  *
- * moments: launch (ceil(panels / groups)); psi (n, k); runs (panels, 2, 2) int: a and first b of both halves; right
+ * moments: launch (ceil(panels / panels_per_item)); psi (n, k); runs (panels, 2, 2) int: a and first b of both halves; right
  *          (tiles, n, RT): diag(w) u by pack_tiles; sums (panels, tiles, RT, W) scratch; packed (k (k + 1) / 2, r)
- * numpy twin: clalign.engine.reference_soft.ReferenceSoftMaps.packed_moments
+ * numpy twin: clalign.engine.reference.Reference.packed_moments
  */
-KERNEL void moments(const int n, const int k, const int r, const int panels, const int groups,
+KERNEL void moments(const int n, const int k, const int r, const int panels, const int panels_per_item,
                     __global const real *restrict psi, __global const int *restrict runs,
                     __global const real *restrict right, __global real *restrict sums, __global real *restrict packed)
 {
     const int tiles = (r + RT - 1) / RT;
-    const int begin = get_global_id(0) * groups, end = min(begin + groups, panels);
+    const int begin = get_global_id(0) * panels_per_item, end = min(begin + panels_per_item, panels);
     realv made[2 * FB];
     for (int row = 0; row < n; row += FB) {
         const int count = min(FB, n - row);

@@ -4,7 +4,7 @@
  *
  * made (count, W) in private memory; right (tiles, length, RT) in global memory, packed by pack_tiles; total
  * (tiles, RT, W) in global scratch, where the sums wait between two blocks of features. Included by soft_map.cl, moments.cl
- * and soft_map_streamed.cl; numpy twin: clalign.engine.reference_soft.ReferenceSoftMaps.
+ * and soft_map_streamed.cl; numpy twin: clalign.engine.reference.Reference.
  */
 #ifndef FB
 #define FB 256 /* features made at once: FB * W reals of private memory */

@@ -15,7 +15,7 @@
  * pack_tiles:  launch (tiles, ceil(depth / DP)); out (tiles, depth, RT) = weight[t] b[t, j] for row-major b
  *              (depth, n); weight (depth) or NULL; columns beyond n are of no meaning
  * sum_splits:  launch (m n): c = scale * sum over splits of partial (splits, m n) [+ c]
- * numpy twins: clalign.engine.reference_arrays.ReferenceArrays.product, banded_product, weighted_gram
+ * numpy twins: clalign.engine.reference.Reference.product, banded_product, weighted_gram
  */
 #ifndef KB
 #define KB 256 /* depth of a block */

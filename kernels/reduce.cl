@@ -3,7 +3,7 @@
  * partial_dots: launch (parts); part p sums elements p RB .. (p + 1) RB - 1 into partial[p]
  * finish_sum:   launch (1); out[0] = scale * sum of partial (parts) [+ out[0] when accumulate], compensated (Kahan)
  * finish_rows:  launch (rows); out[i] = sum of partial[i, :] (rows, parts)
- * numpy twin: clalign.engine.reference_arrays.ReferenceArrays.total
+ * numpy twin: clalign.engine.reference.Reference.total
  */
 #ifndef RB
 #define RB 512 /* elements of one part */

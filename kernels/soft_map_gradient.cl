@@ -5,10 +5,10 @@
  * For every pair (a, b) a tile gives g_j = sum_r dz[j, r] packed[(a, b), r]; then dc[j, a] += g_j c[j, b] and
  * dc[j, b] += g_j c[j, a], which with doubled off-diagonals is the product with 2 M. g is never stored.
  *
- * soft_map_gradient: launch (ceil(ceil(n / W) / groups)); ct, cn (row panels, k, W): c and c N transposed by pack_panels;
- *           dzt (row panels, r, W): dz transposed; packed (pairs, r); removed, inverse (n, padded to W): 1 / s; sums
- *           (row panels, k, W) scratch; dc (n, k)
- * numpy twin: clalign.engine.reference_soft.ReferenceSoftMaps.soft_map_gradient
+ * soft_map_gradient: launch (ceil(row panels / panels_per_item)); ct, cn (row panels, k, W): c and c N transposed by
+ *           pack_panels; dzt (row panels, r, W): dz transposed; packed (pairs, r); removed, inverse (n, padded to W), the
+ *           latter 1 / s; sums (row panels, k, W) scratch; dc (n, k)
+ * numpy twin: clalign.engine.reference.Reference.soft_map_gradient
  */
 #ifndef PB
 #define PB 96 /* pairs of a block: PB r reals of packed stay in the first or second cache */
@@ -18,11 +18,11 @@
 #define SPREAD_RUN(i)                                                              \
     {                                                                              \
         __global const real *other = c + (b + i) * W;                              \
-        __global real *grow = d + (b + i) * W;                                     \
+        __global real *slope = d + (b + i) * W;                                    \
         along0 += p##i * LOAD(__global, other);                                    \
         along1 += q##i * LOAD(__global, other + V);                                \
-        STORE(__global, grow, LOAD(__global, grow) + p##i * left0);                \
-        STORE(__global, grow + V, LOAD(__global, grow + V) + q##i * left1);        \
+        STORE(__global, slope, LOAD(__global, slope) + p##i * left0);              \
+        STORE(__global, slope + V, LOAD(__global, slope + V) + q##i * left1);      \
     }
 #define ADD(to, value) STORE(__global, to, LOAD(__global, to) + (value))
 #define SPREAD_ONE(i)                                                              \
@@ -34,28 +34,28 @@
         if (++b == k) b = ++a;                                                     \
     }
 
-KERNEL void soft_map_gradient(const int n, const int k, const int r, const int groups, __global const real *restrict ct,
-                              __global const real *restrict cn, __global const real *restrict dzt,
-                              __global const real *restrict packed, __global const real *restrict removed,
-                              __global const real *restrict inverse, __global real *restrict sums,
-                              __global real *restrict dc)
+KERNEL void soft_map_gradient(const int n, const int k, const int r, const int panels_per_item,
+                              __global const real *restrict ct, __global const real *restrict cn,
+                              __global const real *restrict dzt, __global const real *restrict packed,
+                              __global const real *restrict removed, __global const real *restrict inverse,
+                              __global real *restrict sums, __global real *restrict dc)
 {
     const int pairs = k * (k + 1) / 2, row_panels = (n + W - 1) / W;
-    const int begin = get_global_id(0) * groups, end = min(begin + groups, row_panels);
-    for (int group = begin; group < end; ++group) {
-        const realv out0 = LOAD(__global, removed + group * W), out1 = LOAD(__global, removed + group * W + V);
-        for (size_t a = (size_t)group * k * W; a < (size_t)(group + 1) * k * W; a += W) {
-            STORE(__global, sums + a, -(out0 + out0) * LOAD(__global, cn + a));
-            STORE(__global, sums + a + V, -(out1 + out1) * LOAD(__global, cn + a + V));
+    const int begin = get_global_id(0) * panels_per_item, end = min(begin + panels_per_item, row_panels);
+    for (int panel = begin; panel < end; ++panel) {
+        const realv removed0 = LOAD(__global, removed + panel * W), removed1 = LOAD(__global, removed + panel * W + V);
+        for (size_t a = (size_t)panel * k * W; a < (size_t)(panel + 1) * k * W; a += W) {
+            STORE(__global, sums + a, -(removed0 + removed0) * LOAD(__global, cn + a));
+            STORE(__global, sums + a + V, -(removed1 + removed1) * LOAD(__global, cn + a + V));
         }
     }
     int block_a = 0, block_b = 0;
     for (int block = 0; block < pairs; block += PB) {
         const int block_end = min(block + PB, pairs);
         int a = block_a, b = block_b;
-        for (int group = begin; group < end; ++group) {
-            __global const real *c = ct + (size_t)group * k * W, *slopes = dzt + (size_t)group * r * W;
-            __global real *d = sums + (size_t)group * k * W;
+        for (int panel = begin; panel < end; ++panel) {
+            __global const real *c = ct + (size_t)panel * k * W, *slopes = dzt + (size_t)panel * r * W;
+            __global real *d = sums + (size_t)panel * k * W;
             a = block_a;
             b = block_b;
             for (int pair = block; pair < block_end; pair += RT) {
@@ -77,9 +77,9 @@ KERNEL void soft_map_gradient(const int n, const int k, const int r, const int g
         block_a = a;
         block_b = b;
     }
-    for (int group = begin; group < end; ++group)
-        for (int lane = 0; lane < min(W, n - group * W); ++lane) {
-            const size_t row = group * W + lane;
-            for (int j = 0; j < k; ++j) dc[row * k + j] = inverse[row] * sums[((size_t)group * k + j) * W + lane];
+    for (int panel = begin; panel < end; ++panel)
+        for (int lane = 0; lane < min(W, n - panel * W); ++lane) {
+            const size_t row = panel * W + lane;
+            for (int j = 0; j < k; ++j) dc[row * k + j] = inverse[row] * sums[((size_t)panel * k + j) * W + lane];
         }
 }

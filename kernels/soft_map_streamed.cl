@@ -3,12 +3,12 @@
  *     z[j, r] = (1 / s_j) sum_i w_i q_ij^2 u[i, r],      s_j = sum_i w_i q_ij^2
  *     dc_j = (2 / s_j) sum_i w_i q_ij (sum_r dz[j, r] u[i, r] - removed_j) psi_i,   removed_j = sum_r dz[j, r] z[j, r]
  *
- * Both launch (ceil(ceil(n / W) / groups)); ct (row panels, k, W): c transposed by pack_panels; psi (n_y, k); w (n_y).
+ * Both launch (ceil(row panels / panels_per_item)); ct (row panels, k, W): c transposed by pack_panels; psi (n_y, k); w (n_y).
  * soft_map_streamed: right (tiles, n_y, RT): u by pack_tiles; sums (row panels, tiles, RT, W) and weights (row panels, W)
  *           scratch; z (n, r); s (n)
  * soft_map_streamed_gradient: dzt (row panels, r, W); u (n_y, r); removed, inverse (n, padded to W); sums (row panels,
  *           k, W) scratch; dc (n, k)
- * numpy twins: clalign.engine.reference_soft.ReferenceSoftMaps.soft_map_streamed, soft_map_streamed_gradient
+ * numpy twins: clalign.engine.reference.Reference.soft_map_streamed, soft_map_streamed_gradient
  */
 #define KEEP_Q(i)                                     \
     if (i < valid_rows) {                             \
@@ -18,10 +18,10 @@
 #define SLOPE(i)                                                     \
     if (i < valid_rows) {                                            \
         const real weight = w[row + t + i];                          \
-        made[2 * (t + i)] *= weight * (p##i - out0);                 \
-        made[2 * (t + i) + 1] *= weight * (q##i - out1);             \
+        made[2 * (t + i)] *= weight * (p##i - removed0);             \
+        made[2 * (t + i) + 1] *= weight * (q##i - removed1);         \
     }
-#define GROW(i)                                                      \
+#define ADD_ROW(i)                                                   \
     if (i < valid_rows) {                                            \
         __global real *to = d + (a + i) * W;                         \
         STORE(__global, to, row ? LOAD(__global, to) + p##i : p##i); \
@@ -39,19 +39,19 @@ INLINE void make_q(realv *made, const int row, const int count, const int k, __g
     }
 }
 
-KERNEL void soft_map_streamed(const int n, const int n_y, const int k, const int r, const int groups,
+KERNEL void soft_map_streamed(const int n, const int n_y, const int k, const int r, const int panels_per_item,
                               __global const real *restrict ct, __global const real *restrict psi,
                               __global const real *restrict w, __global const real *restrict right,
                               __global real *restrict sums, __global real *restrict weights, __global real *restrict z,
                               __global real *restrict s)
 {
     const int tiles = (r + RT - 1) / RT, row_panels = (n + W - 1) / W;
-    const int begin = get_global_id(0) * groups, end = min(begin + groups, row_panels);
+    const int begin = get_global_id(0) * panels_per_item, end = min(begin + panels_per_item, row_panels);
     realv made[2 * FB];
     for (int row = 0; row < n_y; row += FB) {
         const int count = min(FB, n_y - row);
-        for (int group = begin; group < end; ++group) {
-            make_q(made, row, count, k, psi, ct + (size_t)group * k * W);
+        for (int panel = begin; panel < end; ++panel) {
+            make_q(made, row, count, k, psi, ct + (size_t)panel * k * W);
             realv sum0 = 0, sum1 = 0;
             for (int t = 0; t < count; ++t) {
                 made[2 * t] *= made[2 * t] * w[row + t];
@@ -59,24 +59,24 @@ KERNEL void soft_map_streamed(const int n, const int n_y, const int k, const int
                 sum0 += made[2 * t];
                 sum1 += made[2 * t + 1];
             }
-            __global real *weight = weights + group * W;
+            __global real *weight = weights + panel * W;
             STORE(__global, weight, row ? LOAD(__global, weight) + sum0 : sum0);
             STORE(__global, weight + V, row ? LOAD(__global, weight + V) + sum1 : sum1);
             panel_times_tiles(made, count, right + (size_t)row * RT, (size_t)n_y * RT, tiles,
-                              sums + (size_t)group * tiles * RT * W, row == 0);
+                              sums + (size_t)panel * tiles * RT * W, row == 0);
         }
     }
-    for (int group = begin; group < end; ++group)
-        for (int lane = 0; lane < min(W, n - group * W); ++lane) {
-            const size_t row = group * W + lane;
+    for (int panel = begin; panel < end; ++panel)
+        for (int lane = 0; lane < min(W, n - panel * W); ++lane) {
+            const size_t row = panel * W + lane;
             const real weight = weights[row], inverse = weight == ZERO ? ZERO : ONE / weight;
             s[row] = weight;
             for (int j = 0; j < r; ++j)
-                z[row * r + j] = inverse * sums[((size_t)group * tiles * RT + j) * W + lane];
+                z[row * r + j] = inverse * sums[((size_t)panel * tiles * RT + j) * W + lane];
         }
 }
 
-KERNEL void soft_map_streamed_gradient(const int n, const int n_y, const int k, const int r, const int groups,
+KERNEL void soft_map_streamed_gradient(const int n, const int n_y, const int k, const int r, const int panels_per_item,
                                        __global const real *restrict ct, __global const real *restrict psi,
                                        __global const real *restrict w, __global const real *restrict u,
                                        __global const real *restrict dzt, __global const real *restrict removed,
@@ -84,15 +84,15 @@ KERNEL void soft_map_streamed_gradient(const int n, const int n_y, const int k, 
                                        __global real *restrict dc)
 {
     const int row_panels = (n + W - 1) / W;
-    const int begin = get_global_id(0) * groups, end = min(begin + groups, row_panels);
+    const int begin = get_global_id(0) * panels_per_item, end = min(begin + panels_per_item, row_panels);
     realv made[2 * FB];
     for (int row = 0; row < n_y; row += FB) {
         const int count = min(FB, n_y - row);
-        for (int group = begin; group < end; ++group) {
-            __global const real *slopes = dzt + (size_t)group * r * W;
-            __global real *d = sums + (size_t)group * k * W;
-            const realv out0 = LOAD(__global, removed + group * W), out1 = LOAD(__global, removed + group * W + V);
-            make_q(made, row, count, k, psi, ct + (size_t)group * k * W);
+        for (int panel = begin; panel < end; ++panel) {
+            __global const real *slopes = dzt + (size_t)panel * r * W;
+            __global real *d = sums + (size_t)panel * k * W;
+            const realv removed0 = LOAD(__global, removed + panel * W), removed1 = LOAD(__global, removed + panel * W + V);
+            make_q(made, row, count, k, psi, ct + (size_t)panel * k * W);
             for (int t = 0; t < count; t += RT) {
                 TILE_BEGIN(r, count - t)
                 TILE_STEPS(__global, slopes, W, u + (size_t)(row + t) * r, 1, r)
@@ -101,14 +101,14 @@ KERNEL void soft_map_streamed_gradient(const int n, const int n_y, const int k, 
             for (int a = 0; a < k; a += RT) {
                 TILE_BEGIN(1, k - a)
                 TILE_STEPS(__private, (const real *)made, W, psi + (size_t)row * k + a, k, count)
-                EACH(GROW)
+                EACH(ADD_ROW)
             }
         }
     }
-    for (int group = begin; group < end; ++group)
-        for (int lane = 0; lane < min(W, n - group * W); ++lane) {
-            const size_t row = group * W + lane;
+    for (int panel = begin; panel < end; ++panel)
+        for (int lane = 0; lane < min(W, n - panel * W); ++lane) {
+            const size_t row = panel * W + lane;
             for (int j = 0; j < k; ++j)
-                dc[row * k + j] = (inverse[row] + inverse[row]) * sums[((size_t)group * k + j) * W + lane];
+                dc[row * k + j] = (inverse[row] + inverse[row]) * sums[((size_t)panel * k + j) * W + lane];
         }
 }

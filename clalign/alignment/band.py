@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.engine.backend import Band
+from clalign.engine.band import Band
 from clalign.options import AlignmentOptions
 
 

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from clalign.alignment.problem_data import SampledFactors, ShapeData
 from clalign.alignment.soft_map import MomentsSoftMap, SoftMap, cheaper_soft_map, moments_soft_map
-from clalign.engine.backend import Backend, Band
+from clalign.engine.backend import Backend
+from clalign.engine.band import Band
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from clalign.alignment.band import band_mask
-from clalign.engine.backend import Backend, Band
+from clalign.engine.backend import Backend
+from clalign.engine.band import Band
 from clalign.geometry.shape import Shape, with_descriptors
 from clalign.maps.functional_maps import two_way_functional_map
 from clalign.maps.point_maps import PointMaps

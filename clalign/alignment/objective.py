@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from clalign.alignment.functional_map import AlignedCoefficients
 from clalign.alignment.losses import AlignmentLoss, DistanceTerms, FixedCorrespondence, UnitarityLoss, distance_terms
 from clalign.alignment.problem_data import SampledFactors, ShapeData
-from clalign.engine.backend import Backend, Band
-from clalign.engine.reference_arrays import band_positions
+from clalign.engine.backend import Backend
+from clalign.engine.band import Band
 from clalign.maps.nearest import Orders
 from clalign.options import AlignmentOptions
 from clalign.rules import AlignmentRules
@@ -66,7 +66,7 @@ class Objective:
     ) -> None:
         self.source, self.target, self.factors = source, target, factors
         self.band, self.backend, self.options, self.rules = band, backend, options, rules
-        self._positions = band_positions(band)
+        self._positions = band.positions
         self._one_sided = options.sides == "one"
         self._align = AlignmentLoss(source, target, band, backend, one_sided=self._one_sided)
         self._unitarity = UnitarityLoss(band, backend, options.unitarity)

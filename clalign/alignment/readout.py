@@ -30,11 +30,10 @@ def argmax_map(
     source, target : (n_x, k_x) and (n_y, k_y), Φ and Ψ.
     weights : (n_y,) row weights of P; ones give the paper's form.
     """
-    index, _ = backend.nearest(
+    index, _ = backend.soft_map_argmax(
         backend.array(np.ascontiguousarray(source @ functional.T)),
         backend.array(np.ascontiguousarray(target)),
         backend.array(weights),
-        absolute=True,
     )
     return backend.numpy(index).astype(np.int64)
 

@@ -9,7 +9,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from clalign.alignment.band import band_mask
-from clalign.engine.backend import Backend, Band
+from clalign.engine.backend import Backend
+from clalign.engine.band import Band
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.functional_maps import polar_factor, two_way_functional_map
 from clalign.maps.point_maps import PointMaps

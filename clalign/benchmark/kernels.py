@@ -21,10 +21,9 @@ from clalign.alignment.band import funnel_band
 from clalign.benchmark.losses import ProblemSize, synthetic_problem
 from clalign.benchmark.performance import elapsed, seconds_text
 from clalign.benchmark.table import markdown_table
-from clalign.engine.backend import Band
+from clalign.engine.band import Band
 from clalign.engine.kernels import Kernels
-from clalign.engine.reference import Reference
-from clalign.engine.reference_soft import pair_count
+from clalign.engine.reference import Reference, pair_count
 from clalign.geometry.operators import conformal_factor, gaussian_curvature, lumped_mass, stiffness
 from clalign.geometry.spectra import eigenvalue_unit, solve
 from clalign.geometry.workers import processor_count, single_threaded_blas

@@ -1,4 +1,4 @@
-"""One OpenCL device at work: context, queue, programs, buffers within a budget, scratch memory and profile.
+"""One OpenCL device at work: context, queue, programs, buffers within a budget, and scratch memory.
 
 Nothing here happens at import. A `Device` belongs to one thread: kernels keep their arguments between launches.
 """
@@ -10,7 +10,6 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from math import prod
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.engine.device_choice import DeviceFacts, choose_device, list_devices, wanted_device
+from clalign.engine.device_class import device_class
 from clalign.engine.programs import kernel_source
 from clalign.errors import DeviceError, MemoryBudgetError
 
@@ -28,17 +28,6 @@ SLACK = 4096
 
 SLOW_BUILD = 0.2
 """Seconds above which building a program is logged."""
-
-Argument = Any
-
-
-@dataclass(frozen=True)
-class KernelTime:
-    """Profile of one kernel: how often it ran, and the seconds that it took on the device in all."""
-
-    kernel: str
-    launches: int
-    seconds: float
 
 
 class Allocation:
@@ -139,8 +128,7 @@ class Device:
         self._cl = cl
         handle = cl.get_platforms()[self.facts.platform].get_devices()[self.facts.device]
         self.dtype = np.dtype(np.float64 if precision == "double" else np.float32)
-        self.lanes = 2 * vector_bytes(self.facts) // self.dtype.itemsize
-        self.group = 1 if self.facts.kind == "cpu" else 64
+        self.constants = device_class(self.facts)
         self.budget = min(self.facts.memory, memory) if memory else self.facts.memory
         self.allocated = 0
         with self._answering("being opened"):
@@ -148,7 +136,11 @@ class Device:
             self._queue = cl.CommandQueue(self._context)
         self._kernels: dict[tuple[str, tuple[tuple[str, str | int], ...]], dict[str, Any]] = {}
         self._scratch: dict[str, DeviceArray] = {}
-        self._events: list[tuple[str, Any]] | None = None
+
+    @property
+    def panel_width(self) -> int:
+        """W, the columns of a panel: two vectors."""
+        return 2 * self.constants.vector // self.dtype.itemsize
 
     @contextmanager
     def _answering(self, doing: str) -> Iterator[None]:
@@ -244,8 +236,13 @@ class Device:
         return functions[function]
 
     def _build(self, program: str, defines: Mapping[str, str | int]) -> dict[str, Any]:
-        precision = 8 * self.dtype.itemsize
-        source = kernel_source(program, {"PRECISION": precision, "WG": self.group, "V": self.lanes // 2, **defines})
+        common = {
+            "PRECISION": 8 * self.dtype.itemsize,
+            "ON_CPU": int(self.constants.name == "cpu"),
+            "WG": self.constants.work_group,
+            "V": self.panel_width // 2,
+        }
+        source = kernel_source(program, {**common, **defines})
         start = time.perf_counter()
         try:
             with warnings.catch_warnings():
@@ -265,37 +262,18 @@ class Device:
             functions[function] = kernel
         return functions
 
-    def launch(self, kernel: Any, size: int | tuple[int, ...], *arguments: Argument, group: int | None = None) -> None:
+    def launch(self, kernel: Any, size: int | tuple[int, ...], *arguments: Any, work_group: int | None = None) -> None:
         """Queue a kernel over `size` work-items; arrays, numbers and None (a null pointer) are its arguments."""
         lengths = (size,) if isinstance(size, int) else size
-        items = self.group if group is None else group
+        items = self.constants.work_group if work_group is None else work_group
         padded = (-(-lengths[0] // items) * items, *lengths[1:])
         values = [value.buffer if isinstance(value, DeviceArray) else value for value in arguments]
         local = (items,) + (1,) * (len(lengths) - 1)
         # Thousands of launches a second: a context manager would be felt here.
         try:
-            event = kernel(self._queue, padded, local, *values)
+            kernel(self._queue, padded, local, *values)
         except self._cl.Error as error:
             raise self._refusal(f"starting the kernel {kernel.function_name}", error) from error
-        if self._events is not None:
-            self._events.append((kernel.function_name, event))
-
-    @contextmanager
-    def profiled(self, times: list[KernelTime]) -> Iterator[None]:
-        """Measure every kernel launched inside the block; on leaving it, `times` is filled, longest first."""
-        self.finish()
-        plain = self._queue
-        properties = self._cl.command_queue_properties.PROFILING_ENABLE
-        self._queue = self._cl.CommandQueue(self._context, properties=properties)
-        self._events = []
-        try:
-            yield
-            self.finish()
-            times.extend(kernel_times(self._events))
-        finally:
-            self._events = None
-            self._queue.finish()
-            self._queue = plain
 
     def describe(self) -> dict[str, str | int | bool]:
         """Return facts for reports: device, driver, limits, precision and memory in use (bytes)."""
@@ -318,17 +296,6 @@ class Device:
         }
 
 
-def kernel_times(events: Sequence[tuple[str, Any]]) -> list[KernelTime]:
-    """Sum profiling events by kernel, longest first."""
-    launches: dict[str, int] = {}
-    seconds: dict[str, float] = {}
-    for name, event in events:
-        launches[name] = launches.get(name, 0) + 1
-        seconds[name] = seconds.get(name, 0.0) + 1e-9 * (event.profile.end - event.profile.start)
-    ordered = sorted(seconds, key=lambda name: -seconds[name])
-    return [KernelTime(name, launches[name], seconds[name]) for name in ordered]
-
-
 def require_precision(facts: DeviceFacts, precision: str) -> None:
     """Refuse double precision on a device without it.
 
@@ -342,11 +309,6 @@ def require_precision(facts: DeviceFacts, precision: str) -> None:
             f"{facts.label} has no double precision; use single precision (engine.precision), or another device: "
             "clalign doctor lists them"
         )
-
-
-def vector_bytes(facts: DeviceFacts) -> int:
-    """Return the bytes of a vector in the kernels: of the registers of a CPU, within 32..64."""
-    return min(64, max(32, facts.vector)) if facts.kind == "cpu" else 32
 
 
 def check_budget(needed: int, shape: tuple[int, ...], left: int, facts: DeviceFacts) -> None:

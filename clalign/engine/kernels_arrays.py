@@ -2,23 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clalign.engine.device import Device, DeviceArray
+from clalign.engine.reference import Reference
 from clalign.errors import InputError
+
+if TYPE_CHECKING:
+    Specification = Reference
+else:
+    # Kernels are a `Reference` to the type checker, which so compares all signatures. At run time they inherit nothing:
+    # an operation without a kernel must fail, and not run in numpy.
+    Specification = object
+
+Method = TypeVar("Method", bound=Callable[..., Any])
 
 ELEMENTS = 4096
 """Elements of one work-item of an elementwise kernel."""
 
-TRANSPOSED = 16
+TRANSPOSE_BLOCK = 16
 """Rows and columns of a block of a transpose: what it reads and writes are whole cache lines."""
 
 PART = 512
 """Elements of one part of a sum."""
+
+
+def operation(method: Method) -> Method:
+    """Mark an operation: its twin in `Reference`, which must exist, documents it."""
+    method.__doc__ = getattr(Reference, method.__name__).__doc__
+    return method
 
 
 def ceil_div(a: int, b: int) -> int:
@@ -58,35 +74,40 @@ def require_index(function: str, index: Any) -> None:
         raise InputError(f"{function}: index holds {index.dtype.name}, needed is int32")
 
 
-class KernelArrays:
-    """`backend.Arrays` on a device; see there for the formulas."""
+class KernelArrays(Specification):
+    """Making, moving and elementwise use of arrays; what all kernels share."""
 
     def __init__(self, device: Device) -> None:
         self.device = device
         self.dtype: np.dtype[Any] = device.dtype
-        self._constants: dict[tuple[Any, ...], DeviceArray] = {}
+        self._tables: dict[tuple[Any, ...], DeviceArray] = {}
 
     @property
+    @operation
     def name(self) -> str:
-        """Short description of where the arithmetic runs."""
         facts = self.device.facts
         return f"{facts.name} ({facts.platform_name}), {self.dtype.name}"
 
+    @operation
+    def describe(self) -> dict[str, str | int | bool]:
+        return self.device.describe()
+
+    @operation
     def array(self, values: ArrayLike) -> DeviceArray:
-        """Upload: floats to the real type, integers to int32."""
         given = np.asarray(values)
         kind = np.dtype(np.int32) if given.dtype.kind in "iub" else self.dtype
         return self.device.upload(np.ascontiguousarray(given, dtype=kind).reshape(given.shape))
 
+    @operation
     def zeros(self, shape: int | Sequence[int], dtype: Any = None) -> DeviceArray:
-        """Allocate zeros of the real type (default) or int32."""
         lengths = (shape,) if isinstance(shape, int) else tuple(shape)
         return self.device.zeros(lengths, self.dtype if dtype is None else dtype)
 
+    @operation
     def numpy(self, array: DeviceArray) -> NDArray[Any]:
-        """Download."""
         return array.get()
 
+    @operation
     def add(
         self,
         a: DeviceArray,
@@ -96,15 +117,14 @@ class KernelArrays:
         scale_b: float = 1.0,
         out: DeviceArray | None = None,
     ) -> DeviceArray:
-        """Return scale_a · a + scale_b · b."""
         require_shapes("add", b=(b.shape, a.shape))
         result = self._result("add", a.shape, out)
         kernel = self._elementwise("add")
         self.device.launch(kernel, ceil_div(a.size, ELEMENTS), a.size, scale_a, scale_b, a, b, result)
         return result
 
+    @operation
     def scale_rows(self, a: DeviceArray, w: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
-        """diag(w) a."""
         require_shapes("scale_rows", w=(w.shape, a.shape[:1]))
         result = self._result("scale_rows", a.shape, out)
         rows, width = a.shape
@@ -112,14 +132,14 @@ class KernelArrays:
         self.device.launch(kernel, rows, rows, width, a, w, result)
         return result
 
+    @operation
     def reciprocal(self, a: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
-        """1 / a, and 0 where a is 0."""
         result = self._result("reciprocal", a.shape, out)
         self._reciprocal(a, result)
         return result
 
+    @operation
     def gather(self, a: DeviceArray, index: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
-        """Rows of a named by index."""
         require_index("gather", index)
         width = a.shape[1]
         result = self._result("gather", (*index.shape, width), out)
@@ -127,14 +147,14 @@ class KernelArrays:
         self.device.launch(kernel, index.size, index.size, width, a, index, result)
         return result
 
+    @operation
     def half_squares(self, a: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
-        """½ |a_i|² of the rows."""
         result = self._result("half_squares", a.shape[:1], out)
         self._row_dots(a, a, result)
         return self.add(result, result, scale_a=0.5, scale_b=0.0, out=result)
 
+    @operation
     def total(self, a: DeviceArray, w: DeviceArray | None = None) -> float:
-        """Σ a, or Σ w a."""
         result = self.device.scratch("total", 1)
         self._dot(a, w, result)
         return float(result.leading(()))
@@ -158,7 +178,7 @@ class KernelArrays:
 
     def _elementwise(self, function: str) -> Any:
         """Return a kernel of ``elementwise.cl``, which is built once for all of them."""
-        return self.device.kernel("elementwise", function, EB=ELEMENTS, TB=TRANSPOSED)
+        return self.device.kernel("elementwise", function, EB=ELEMENTS, TB=TRANSPOSE_BLOCK)
 
     def _reciprocal(self, a: DeviceArray, inverse: DeviceArray) -> None:
         """Queue 1 / a, and 0 where a is 0, into as many leading elements of `inverse`."""
@@ -183,8 +203,8 @@ class KernelArrays:
             raise InputError(f"{function}: out holds {out.dtype.name}, needed is {kind.name}")
         return out
 
-    def _constant(self, key: tuple[Any, ...], values: NDArray[Any]) -> DeviceArray:
-        """Keep an uploaded table, for index tables that depend on a few numbers only."""
-        if key not in self._constants:
-            self._constants[key] = self.array(values)
-        return self._constants[key]
+    def _table(self, key: tuple[Any, ...], make: Callable[[], NDArray[Any]]) -> DeviceArray:
+        """Return a table that depends on the key only, made and uploaded once."""
+        if key not in self._tables:
+            self._tables[key] = self.array(make())
+        return self._tables[key]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from clalign.engine.backend import Band
+from clalign.engine.band import Band
 from clalign.engine.device import DeviceArray
-from clalign.engine.kernels_arrays import require_shapes
+from clalign.engine.kernels_arrays import operation, require_shapes
 from clalign.engine.kernels_products import KernelProducts
 
 
 class KernelLosses(KernelProducts):
-    """`backend.Losses` on a device; see there for the formulas."""
+    """The two terms of the objective and their gradients."""
 
+    @operation
     def distortion(
         self,
         z: DeviceArray,
@@ -21,7 +22,6 @@ class KernelLosses(KernelProducts):
         *,
         out: tuple[DeviceArray, DeviceArray] | None = None,
     ) -> tuple[DeviceArray, DeviceArray]:
-        """Low-rank l_unsup and dl/dZ = −4Ω[U (T_X B − B T_Y G_Z) − Z⊥ T_Y G_Z] T_Y with G_Z = BᵀB + G."""
         (n, r_y), r_x = z.shape, left_x.shape[1]
         require_shapes("distortion", left_x=(left_x.shape[:1], (n,)), w=(w.shape, (n,)))
         require_shapes("distortion", core_y=(core_y.shape, (r_y, r_y)), core_x=(core_x.shape, (r_x, r_x)))
@@ -59,10 +59,11 @@ class KernelLosses(KernelProducts):
         self.scale_rows(slope, w, out=slope)
         return value, slope
 
+    @operation
     def alignment(
         self,
         r: DeviceArray,
-        turned: DeviceArray,
+        r_transposed: DeviceArray,
         g_x: DeviceArray,
         g_y: DeviceArray,
         g_xy: DeviceArray,
@@ -71,10 +72,9 @@ class KernelLosses(KernelProducts):
         *,
         out: tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray] | None = None,
     ) -> tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray]:
-        """Eq. 21 (or Eq. 18) with π fixed, from Gram matrices, only where R may differ from zero."""
         square, d = r.shape, band.size
-        require_shapes("alignment", r=(square, (d, d)), turned=(turned.shape, square), g_x=(g_x.shape, square))
-        require_shapes("alignment", g_y=(g_y.shape, square), g_xy=(g_xy.shape, square))
+        require_shapes("alignment", r=(square, (d, d)), r_transposed=(r_transposed.shape, square))
+        require_shapes("alignment", g_x=(g_x.shape, square), g_y=(g_y.shape, square), g_xy=(g_xy.shape, square))
         numerator = self._result("alignment", (), out and out[0])
         denominator = self._result("alignment", (), out and out[1])
         slope = self._result("alignment", square, out and out[2])
@@ -85,8 +85,12 @@ class KernelLosses(KernelProducts):
             other, factor, trace_of = g_xy, -2.0, g_y
         else:
             self.banded_product(r, g_y, left=band, kept=band, scale=2.0, out=denominator_slope)
-            self.banded_product(g_xy, turned, right=band.transposed, kept=band, scale=-2.0, accumulate=True, out=slope)
-            self.banded_product(turned, g_xy, left=band.transposed, kept=band, scale=-2.0, accumulate=True, out=slope)
+            self.banded_product(
+                g_xy, r_transposed, right=band.transposed, kept=band, scale=-2.0, accumulate=True, out=slope
+            )
+            self.banded_product(
+                r_transposed, g_xy, left=band.transposed, kept=band, scale=-2.0, accumulate=True, out=slope
+            )
             other, factor, trace_of = denominator_slope, 1.0, None
         partial = self._work("alignment", 2, d)
         rows, values = (self.device.kernel("alignment", name) for name in ("band_rows", "alignment_values"))

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.engine.backend import Band
+from clalign.engine.band import Band
 from clalign.engine.device import DeviceArray
-from clalign.engine.kernels_arrays import TRANSPOSED, KernelArrays, ceil_div, require_shapes
+from clalign.engine.kernels_arrays import TRANSPOSE_BLOCK, KernelArrays, ceil_div, operation, require_shapes
 
 DEPTH_BLOCK = 256
 """Depth of a block: a panel of it and the rows that meet it stay in the first cache."""
@@ -27,19 +27,17 @@ PACK_LENGTH = 352
 PACK_CROSSING = 200
 """Row groups above which a right side is packed because loads from its rows cross cache lines."""
 
+DEPTH_SPLIT = 512
+"""Least depth of a split, whether of a product or of a Gram matrix."""
+
 GRAM_BLOCK = 128
-"""Depth of a block of a Gram matrix on a CPU."""
+"""Depth of a block where Gram matrices pack what they read."""
 
 GRAM_SPLITS = 8
-"""Most parts that the depth of a Gram matrix is cut into on a CPU."""
-
-GRAM_SPLIT = 512
-"""Least depth of a part of a Gram matrix on a CPU, where the units have work anyway."""
-
-DEPTH_SPLIT = 512
-"""Least depth of a part when a product is cut along its depth."""
+"""Most splits of such a Gram matrix."""
 
 CHOLESKY_ITEMS = 8
+"""Work-items of the one group that factorises."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +53,14 @@ NOTHING_SKIPPED = Skipping()
 
 
 class KernelProducts(KernelArrays):
-    """`backend.Products` on a device; see there for the formulas."""
-
-    @property
-    def _long_vectors(self) -> bool:
-        """Whether a vector has 64 bytes: then there are 32 registers of them."""
-        return self.device.lanes * self.dtype.itemsize == 128
+    """Dense and banded linear algebra."""
 
     @property
     def _tile(self) -> int:
         """Rows of the register tile of plain products."""
-        return 8 if self._long_vectors else 6
+        return self.device.constants.tile_rows
 
+    @operation
     def product(
         self,
         a: DeviceArray,
@@ -79,7 +73,6 @@ class KernelProducts(KernelArrays):
         leading: bool = False,
         out: DeviceArray | None = None,
     ) -> DeviceArray:
-        """Return scale · op(a) op(b), added to `out` when `accumulate` is set."""
         m, columns = a.shape[::-1] if transpose_a else a.shape
         depth, n = b.shape[::-1] if transpose_b else b.shape
         if not (leading and not transpose_a and depth <= columns):
@@ -89,8 +82,8 @@ class KernelProducts(KernelArrays):
         self._product(a, b, result, m, n, depth, transpose_a, transpose_b, columns, scale=scale, accumulate=adding)
         return result
 
+    @operation
     def band_expand(self, values: DeviceArray, band: Band, *, out: DeviceArray | None = None) -> DeviceArray:
-        """Packed values as a matrix."""
         require_shapes("band_expand", values=(values.shape, (band.count,)))
         result = self._result("band_expand", (band.size, band.size), out)
         lower, offsets = self._band_tables(band)
@@ -98,8 +91,8 @@ class KernelProducts(KernelArrays):
         self.device.launch(kernel, band.size, band.size, lower, offsets, values, result)
         return result
 
+    @operation
     def band_gather(self, matrix: DeviceArray, band: Band, *, out: DeviceArray | None = None) -> DeviceArray:
-        """Entries of a matrix inside the band."""
         require_shapes("band_gather", matrix=(matrix.shape, (band.size, band.size)))
         result = self._result("band_gather", (band.count,), out)
         lower, offsets = self._band_tables(band)
@@ -107,6 +100,7 @@ class KernelProducts(KernelArrays):
         self.device.launch(kernel, band.size, band.size, lower, offsets, matrix, result)
         return result
 
+    @operation
     def banded_product(
         self,
         a: DeviceArray,
@@ -119,7 +113,7 @@ class KernelProducts(KernelArrays):
         accumulate: bool = False,
         out: DeviceArray | None = None,
     ) -> DeviceArray:
-        """Return scale · a b: tiles of zeros and tiles that nobody reads are skipped."""
+        # Tiles of zeros and tiles that nobody reads are skipped.
         (m, depth), n = a.shape, b.shape[1]
         require_shapes("banded_product", b=(b.shape[:1], (depth,)))
         for name, band, shape in (("a", left, a.shape), ("b", right, b.shape), ("out", kept, (m, n))):
@@ -128,39 +122,41 @@ class KernelProducts(KernelArrays):
         result = self._result("banded_product", (m, n), out)
         skipping = Skipping(
             self._ranges(left, self._tile, row_ranges),
-            self._ranges(right, self.device.lanes, panel_ranges),
-            self._ranges(kept, self.device.lanes, panel_ranges),
+            self._ranges(right, self.device.panel_width, panel_ranges),
+            self._ranges(kept, self.device.panel_width, panel_ranges),
         )
         adding = accumulate and out is not None
         self._product(a, b, result, m, n, depth, False, False, scale=scale, accumulate=adding, skipping=skipping)
         return result
 
+    @operation
     def transpose(self, a: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
-        """aᵀ, stored row by row."""
         rows, columns = a.shape
         result = self._result("transpose", (columns, rows), out)
         kernel = self._elementwise("transpose")
-        self.device.launch(kernel, ceil_div(columns, TRANSPOSED), rows, columns, a, result)
+        self.device.launch(kernel, ceil_div(columns, TRANSPOSE_BLOCK), rows, columns, a, result)
         return result
 
+    @operation
     def weighted_gram(
         self, a: DeviceArray, b: DeviceArray, w: DeviceArray | None = None, *, out: DeviceArray | None = None
     ) -> DeviceArray:
-        """aᵀ diag(w) b, cut along the rows where the result has too few tiles to keep the device busy."""
         rows, m = a.shape
         n = b.shape[1]
         require_shapes("weighted_gram", b=(b.shape[:1], (rows,)))
         if w is not None:
             require_shapes("weighted_gram", w=(w.shape, (rows,)))
         result = self._result("weighted_gram", (m, n), out)
+        device_class = self.device.constants
         if m == n == 1 and w is None:
             self._dot(a, b, result)
             return result
-        if self.device.group == 1:
+        if device_class.packs_gram:
             self._gram(a, b, w, result)
             return result
-        tiles = ceil_div(m, self._tile) * ceil_div(n, self.device.lanes)
-        wanted = 8 * self.device.facts.units * self.device.group
+        # Cut along the rows where the result has too few tiles to keep the device busy.
+        tiles = ceil_div(m, self._tile) * ceil_div(n, self.device.panel_width)
+        wanted = 8 * self.device.facts.units * device_class.work_group
         splits, _ = equal_parts(rows, min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_SPLIT)))
         if splits <= 1:
             self._product(a, b, result, m, n, rows, True, False, weight=w)
@@ -171,20 +167,20 @@ class KernelProducts(KernelArrays):
         self.device.launch(kernel, m * n, m * n, splits, 1.0, 0, partial, result)
         return result
 
+    @operation
     def solve_right(
         self, gram: DeviceArray, rhs: DeviceArray, ridge: float, *, out: DeviceArray | None = None
     ) -> DeviceArray:
-        """Return rhs (gram + ridge · trace(gram) / k · I)⁻¹; NaN where gram is not positive definite."""
         m, k = rhs.shape
         require_shapes("solve_right", gram=(gram.shape, (k, k)))
         result = self._result("solve_right", rhs.shape, out)
         launch, kernel = self.device.launch, self.device.kernel
         factor = self.device.scratch("cholesky", k * k)
         factorise = kernel("cholesky", "factorise", CHOLESKY_ITEMS=CHOLESKY_ITEMS)
-        launch(factorise, CHOLESKY_ITEMS, k, ridge, gram, factor, group=CHOLESKY_ITEMS)
+        launch(factorise, CHOLESKY_ITEMS, k, ridge, gram, factor, work_group=CHOLESKY_ITEMS)
         panels = self._pack_panels("rhs", rhs, m, k, 1, k)
         solve = kernel("cholesky", "solve_rows", CHOLESKY_ITEMS=CHOLESKY_ITEMS)
-        launch(solve, ceil_div(m, self.device.lanes), m, k, factor, panels, result)
+        launch(solve, ceil_div(m, self.device.panel_width), m, k, factor, panels, result)
         return result
 
     def _product(
@@ -210,23 +206,23 @@ class KernelProducts(KernelArrays):
         A weight of the depth needs a transposed left side, which is multiplied by it while being packed. A left side
         that is not transposed may have more `columns` than the depth.
         """
-        lanes = self.device.lanes
-        group_count, panel_count = ceil_div(m, self._tile), ceil_div(n, lanes)
+        width = self.device.panel_width
+        group_count, panel_count = ceil_div(m, self._tile), ceil_div(n, width)
         # Loads from rows that are no whole number of vectors cross cache lines.
         read_badly = (max(n, depth) > PACK_LENGTH and group_count > PACK_ABOVE) or (
-            n % (lanes // 2) != 0 and group_count > PACK_CROSSING
+            n % (width // 2) != 0 and group_count > PACK_CROSSING
         )
-        if transpose_b or (not transpose_a and n > lanes and read_badly):
+        if transpose_b or (not transpose_a and n > width and read_badly):
             strides = (1, depth) if transpose_b else (n, 1)
-            b, b_step, b_panel = self._pack_panels("right", b, n, depth, *strides), lanes, depth * lanes
+            b, b_step, b_panel = self._pack_panels("right", b, n, depth, *strides), width, depth * width
         else:
-            b_step, b_panel = n, lanes
+            b_step, b_panel = n, width
         a_row, a_step = (1, m) if transpose_a else (columns or depth, 1)
         a_group = self._tile * a_row
         if weight is not None or (transpose_a and depth > DEPTH_BLOCK):
             a = self._pack_tiles("left", a, m, depth, self._tile, weight)
             a_group, a_row, a_step = depth * self._tile, 1, self._tile
-        groups, panels = self._macro_tile(group_count, panel_count, splits)
+        groups, panels = self._product_tiles(group_count, panel_count, splits)
         kernel = self.device.kernel("product", "product", RT=self._tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         size = (ceil_div(group_count, groups), ceil_div(panel_count, panels), splits)
         split_depth = ceil_div(depth, splits)
@@ -236,74 +232,61 @@ class KernelProducts(KernelArrays):
         self.device.launch(kernel, size, *sizes, a, a_group, a_row, a_step, b, b_step, b_panel, *ranges, result)
 
     def _gram(self, a: DeviceArray, b: DeviceArray, w: DeviceArray | None, result: DeviceArray) -> None:
-        """Queue a Gram matrix on a CPU: every unit packs and sums parts of the depth of its own.
+        """Queue a Gram matrix whose work-items pack what they read: each sums a split of the depth for some rows.
 
         Computed is the transpose where that fills the register tiles better.
         """
-        units, tile, lanes = self.device.facts.units, self._tile, self.device.lanes
+        units, tile, width = self.device.facts.units, self._tile, self.device.panel_width
 
         def area(rows: int, columns: int) -> int:
-            return ceil_div(rows, tile) * tile * ceil_div(columns, lanes) * lanes
+            return ceil_div(rows, tile) * tile * ceil_div(columns, width) * width
 
         symmetric = a.memory is b.memory and a.shape == b.shape
-        turned = area(b.shape[1], a.shape[1]) < area(a.shape[1], b.shape[1])
-        if turned:
+        transposed = area(b.shape[1], a.shape[1]) < area(a.shape[1], b.shape[1])
+        if transposed:
             a, b = b, a
         (depth, m), n = a.shape, b.shape[1]
-        group_count, panel_count = ceil_div(m, tile), ceil_div(n, lanes)
+        group_count, panel_count = ceil_div(m, tile), ceil_div(n, width)
         # Not by the number of units: a sum must be the same on one core and on many.
-        most = min(max(2, min(GRAM_SPLITS, depth // GRAM_SPLIT)), ceil_div(depth, GRAM_BLOCK))
+        most = min(max(2, min(GRAM_SPLITS, depth // DEPTH_SPLIT)), ceil_div(depth, GRAM_BLOCK))
         splits, split_depth = equal_parts(depth, most)
         groups = ceil_div(group_count, min(group_count, ceil_div(units, splits)))
         parts = ceil_div(group_count, groups)
-        packed = self.device.scratch("gram.packed", splits * parts * (panel_count * lanes + tile) * GRAM_BLOCK)
+        packed = self.device.scratch("gram.packed", splits * parts * (panel_count * width + tile) * GRAM_BLOCK)
         partial = self.device.scratch("gram.partial", splits * area(m, n))
         kernel = self.device.kernel("gram", "gram", RT=tile, KB=GRAM_BLOCK)
         sizes = (m, n, depth, parts, groups, split_depth)
         self.device.launch(kernel, (parts, splits), *sizes, int(symmetric), a, b, w, packed, partial)
         kernel = self.device.kernel("gram", "gather_gram", RT=tile, KB=GRAM_BLOCK)
-        self.device.launch(kernel, group_count, m, n, splits, int(symmetric), int(turned), partial, result)
+        self.device.launch(kernel, group_count, m, n, splits, int(symmetric), int(transposed), partial, result)
 
-    def _macro_tile(self, group_count: int, panel_count: int, splits: int) -> tuple[int, int]:
-        """Row groups and panels of one work-item: up to 16 x 16 on a CPU, 1 x 1 on a GPU.
+    def _product_tiles(self, group_count: int, panel_count: int, splits: int) -> tuple[int, int]:
+        """Row groups and panels of one work-item.
 
         Rows are cut first, and columns only where that leaves a unit without a few items: what shares its rows reads
         them from memory once.
         """
-        if self.device.group > 1:
-            return 1, 1
+        most = self.device.constants.product_tiles
         wanted = ceil_div(4 * self.device.facts.units, splits)
-        groups = min(16, max(1, group_count // wanted))
+        groups = min(most, max(1, group_count // wanted))
         rows = ceil_div(group_count, groups)
-        panels = min(16, panel_count, max(1, panel_count * rows // wanted))
+        panels = min(most, panel_count, max(1, panel_count * rows // wanted))
         # Items of equal width: a narrow last one would leave its unit idle.
         return groups, ceil_div(panel_count, ceil_div(panel_count, panels))
 
     def _pack_panels(
-        self,
-        slot: str,
-        b: DeviceArray,
-        n: int,
-        depth: int,
-        row_stride: int,
-        column_stride: int,
+        self, slot: str, b: DeviceArray, n: int, depth: int, row_stride: int, column_stride: int
     ) -> DeviceArray:
-        """Queue packing of b (depth, n), given by its strides, into (panels, depth, lanes) scratch."""
-        panels = ceil_div(n, self.device.lanes)
-        packed = self.device.scratch(f"panels.{slot}", panels * depth * self.device.lanes)
+        """Queue packing of b (depth, n), given by its strides, into (panels, depth, W) scratch."""
+        panels = ceil_div(n, self.device.panel_width)
+        packed = self.device.scratch(f"panels.{slot}", panels * depth * self.device.panel_width)
         kernel = self.device.kernel("product", "pack_panels", RT=self._tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
         size = (panels, ceil_div(depth, DEPTH_PACKED))
         self.device.launch(kernel, size, n, depth, b, row_stride, column_stride, packed)
         return packed
 
     def _pack_tiles(
-        self,
-        slot: str,
-        b: DeviceArray,
-        n: int,
-        depth: int,
-        tile: int,
-        weight: DeviceArray | None = None,
+        self, slot: str, b: DeviceArray, n: int, depth: int, tile: int, weight: DeviceArray | None = None
     ) -> DeviceArray:
         """Queue packing of diag(weight) b (depth, n) into (tiles, depth, tile) scratch."""
         tiles = ceil_div(n, tile)
@@ -315,10 +298,8 @@ class KernelProducts(KernelArrays):
 
     def _band_tables(self, band: Band) -> tuple[DeviceArray, DeviceArray]:
         key = (band.lower.tobytes(), band.upper.tobytes())
-        if ("lower", *key) not in self._constants:
-            self._constants["lower", *key] = self.array(band.lower)
-            self._constants["offsets", *key] = self.array(band.offsets)
-        return self._constants["lower", *key], self._constants["offsets", *key]
+        lower = self._table(("lower", *key), lambda: band.lower)
+        return lower, self._table(("offsets", *key), lambda: band.offsets)
 
     def _ranges(
         self, band: Band | None, width: int, make: Callable[[Band, int], NDArray[np.int32]]
@@ -327,9 +308,7 @@ class KernelProducts(KernelArrays):
         if band is None:
             return None
         key = (make, band.lower.tobytes(), band.upper.tobytes(), width)
-        if key not in self._constants:
-            self._constants[key] = self.array(make(band, width))
-        return self._constants[key]
+        return self._table(key, lambda: make(band, width))
 
 
 def equal_parts(length: int, most: int) -> tuple[int, int]:

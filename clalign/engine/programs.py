@@ -15,7 +15,8 @@ PRELUDE = ("prelude.cl",)
 PARTS: Mapping[str, tuple[str, ...]] = {
     "product": ("tile.cl", "product.cl"),
     "gram": ("tile.cl", "gram.cl"),
-    "nearest": ("tile.cl", "nearest.cl"),
+    "nearest": ("tile.cl", "best.cl", "nearest.cl"),
+    "soft_map_argmax": ("tile.cl", "best.cl", "soft_map_argmax.cl"),
     "soft_map": ("tile.cl", "panel.cl", "soft_map.cl"),
     "moments": ("tile.cl", "panel.cl", "moments.cl"),
     "soft_map_gradient": ("tile.cl", "soft_map_gradient.cl"),

@@ -1,20 +1,21 @@
-"""Arrays, dense and banded linear algebra of the numpy backend."""
+"""Arrays, dense and banded linear algebra: specification, and executable twin of the kernels, in numpy."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from clalign.engine.backend import Band
+from clalign.engine.band import Band
 
-Array = NDArray[Any]
+Array: TypeAlias = Any
+"""An array of a backend: `numpy.ndarray` for the reference, `clalign.engine.device.DeviceArray` for OpenCL."""
 
 
-def stored(value: ArrayLike, out: Array | None) -> Array:
+def stored(value: ArrayLike, out: Array) -> Array:
     """Return `value`, or `out` with `value` written into it."""
     if out is None:
         return np.asarray(value)
@@ -22,19 +23,29 @@ def stored(value: ArrayLike, out: Array | None) -> Array:
     return out
 
 
-def reciprocal(values: Array) -> Array:
+def reciprocal(values: NDArray[Any]) -> NDArray[Any]:
     """1 / values, and 0 where they are 0."""
     safe = np.where(values == 0, 1, values)
     return np.where(values == 0, 0, 1 / safe).astype(values.dtype)
 
 
 class ReferenceArrays:
-    """Twins of `backend.Arrays` and `backend.Products`; see there for the formulas."""
+    """Making, moving and elementwise use of arrays; dense and banded linear algebra. See `Reference`."""
 
-    dtype: np.dtype[Any]
+    def __init__(self, dtype: Any = np.float64) -> None:
+        self.dtype: np.dtype[Any] = np.dtype(dtype)
+
+    @property
+    def name(self) -> str:
+        """Short description of where the arithmetic runs."""
+        return f"numpy {np.__version__}, {self.dtype.name}"
+
+    def describe(self) -> dict[str, str | int | bool]:
+        """Return facts for reports; those of a device say its "kind", "memory" and "largest_buffer" (bytes)."""
+        return {"device": self.name}
 
     def array(self, values: ArrayLike) -> Array:
-        """Copy: floats to the real type, integers to int32; row-major."""
+        """Copy into an array of the backend: floats to its real type, integers to int32; row-major."""
         given = np.asarray(values)
         kind = np.int32 if given.dtype.kind in "iub" else self.dtype
         return np.array(given, dtype=kind, order="C")
@@ -43,32 +54,32 @@ class ReferenceArrays:
         """Allocate zeros of the real type (default) or int32."""
         return np.zeros(shape, dtype=self.dtype if dtype is None else dtype)
 
-    def numpy(self, array: Array) -> Array:
-        """Return a copy."""
+    def numpy(self, array: Array) -> NDArray[Any]:
+        """Copy to numpy; waits for whatever computes the array."""
         return np.array(array)
 
-    def add(self, a: Array, b: Array, *, scale_a: float = 1.0, scale_b: float = 1.0, out: Array | None = None) -> Array:
-        """Return scale_a · a + scale_b · b."""
+    def add(self, a: Array, b: Array, *, scale_a: float = 1.0, scale_b: float = 1.0, out: Array = None) -> Array:
+        """Return scale_a · a + scale_b · b for arrays of one shape; `out` may be `a` or `b`."""
         return stored(self.dtype.type(scale_a) * a + self.dtype.type(scale_b) * b, out)
 
-    def scale_rows(self, a: Array, w: Array, *, out: Array | None = None) -> Array:
-        """diag(w) a."""
+    def scale_rows(self, a: Array, w: Array, *, out: Array = None) -> Array:
+        """diag(w) a for a (n, k) and w (n,); `out` may be `a`."""
         return stored(a * w[:, None], out)
 
-    def reciprocal(self, a: Array, *, out: Array | None = None) -> Array:
-        """1 / a, and 0 where a is 0."""
+    def reciprocal(self, a: Array, *, out: Array = None) -> Array:
+        """1 / a elementwise, and 0 where a is 0; `out` may be `a`."""
         return stored(reciprocal(a), out)
 
-    def gather(self, a: Array, index: Array, *, out: Array | None = None) -> Array:
-        """Rows of a named by index."""
+    def gather(self, a: Array, index: Array, *, out: Array = None) -> Array:
+        """Rows of a (n, k) named by index (any shape, int32): shape index.shape + (k,)."""
         return stored(a[index], out)
 
-    def half_squares(self, a: Array, *, out: Array | None = None) -> Array:
-        """½ |a_i|² of the rows."""
+    def half_squares(self, a: Array, *, out: Array = None) -> Array:
+        """½ |a_i|² of the rows of a (n, k): (n,), the penalty with which `nearest` finds nearest neighbours."""
         return stored(self.dtype.type(0.5) * np.einsum("nk,nk->n", a, a), out)
 
-    def total(self, a: Array, w: Array | None = None) -> float:
-        """Σ a, or Σ w a."""
+    def total(self, a: Array, w: Array = None) -> float:
+        """Σ a, or Σ w a for w of a's size; summed in two stages in a fixed order."""
         flat = a.reshape(-1)
         return float(flat.sum() if w is None else flat @ w.reshape(-1))
 
@@ -82,27 +93,30 @@ class ReferenceArrays:
         scale: float = 1.0,
         accumulate: bool = False,
         leading: bool = False,
-        out: Array | None = None,
+        out: Array = None,
     ) -> Array:
-        """Return scale · op(a) op(b), added to `out` when `accumulate` is set."""
+        """Return scale · op(a) op(b), added to `out` when `accumulate` is set; op(a) is (m, q), op(b) is (q, n).
+
+        With `leading`, `a` is not transposed and may have more columns than q: its first q are used.
+        """
         if leading:
             a = a[:, : b.shape[1] if transpose_b else b.shape[0]]
         value = self.dtype.type(scale) * ((a.T if transpose_a else a) @ (b.T if transpose_b else b))
         return stored(out + value if accumulate and out is not None else value, out)
 
-    def band_expand(self, values: Array, band: Band, *, out: Array | None = None) -> Array:
-        """Packed values as a matrix."""
+    def transpose(self, a: Array, *, out: Array = None) -> Array:
+        """aᵀ, stored row by row, for a (n, k)."""
+        return stored(np.ascontiguousarray(a.T), out)
+
+    def band_expand(self, values: Array, band: Band, *, out: Array = None) -> Array:
+        """Packed values (band.count,) as a (d, d) matrix with zeros outside the band."""
         matrix = np.zeros((band.size, band.size), dtype=values.dtype)
-        matrix[band_positions(band)] = values
+        matrix[band.positions] = values
         return stored(matrix, out)
 
-    def band_gather(self, matrix: Array, band: Band, *, out: Array | None = None) -> Array:
-        """Entries of a matrix inside the band."""
-        return stored(matrix[band_positions(band)], out)
-
-    def transpose(self, a: Array, *, out: Array | None = None) -> Array:
-        """aᵀ."""
-        return stored(np.ascontiguousarray(a.T), out)
+    def band_gather(self, matrix: Array, band: Band, *, out: Array = None) -> Array:
+        """Entries of a (d, d) matrix inside the band, packed: the adjoint of `band_expand`."""
+        return stored(matrix[band.positions], out)
 
     def banded_product(
         self,
@@ -114,9 +128,13 @@ class ReferenceArrays:
         kept: Band | None = None,
         scale: float = 1.0,
         accumulate: bool = False,
-        out: Array | None = None,
+        out: Array = None,
     ) -> Array:
-        """Return scale · a b, added to `out` when `accumulate` is set; entries outside `kept` are zero."""
+        """Return scale · a b, added to `out` when `accumulate` is set, without most of the work that a band saves.
+
+        a (m, q) is zero outside `left`, b (q, n) outside `right`: what lies there may be read or not. Of the result
+        (m, n) the entries outside `kept` have no meaning.
+        """
 
         def inside(matrix: Array, band: Band | None) -> Array:
             return matrix if band is None else self.band_expand(self.band_gather(matrix, band), band)
@@ -128,8 +146,11 @@ class ReferenceArrays:
         """aᵀ diag(w) b."""
         return stored((a if w is None else w[:, None] * a).T @ b, out)
 
-    def solve_right(self, gram: Array, rhs: Array, ridge: float, *, out: Array | None = None) -> Array:
-        """Return rhs (gram + ridge · trace(gram) / k · I)⁻¹; NaN where gram is not positive definite."""
+    def solve_right(self, gram: Array, rhs: Array, ridge: float, *, out: Array = None) -> Array:
+        """Return rhs (gram + ridge · trace(gram) / k · I)⁻¹ by Cholesky; gram (k, k) positive definite, rhs (m, k).
+
+        A gram that is not positive definite gives NaN (no host synchronisation happens here to find out).
+        """
         size = gram.shape[0]
         shift = self.dtype.type(ridge) * np.trace(gram) / self.dtype.type(size)
         try:
@@ -137,11 +158,3 @@ class ReferenceArrays:
         except np.linalg.LinAlgError:
             return stored(np.full_like(rhs, np.nan), out)
         return stored(np.ascontiguousarray(scipy.linalg.cho_solve(factor, rhs.T).T), out)
-
-
-def band_positions(band: Band) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the packed entries of a band, each (band.count,)."""
-    widths = band.upper - band.lower
-    rows = np.repeat(np.arange(band.size), widths)
-    columns = np.arange(band.count) - np.repeat(band.offsets[:-1] - band.lower, widths)
-    return rows, columns

@@ -12,7 +12,7 @@ from clalign.alignment.alternation import AlignedRotation, AlignmentState
 from clalign.alignment.band import funnel_band
 from clalign.alignment.objective import Objective
 from clalign.alignment.rotation import StartingRotation
-from clalign.engine.backend import Band
+from clalign.engine.band import Band
 from clalign.geometry.shape import Shape
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.point_maps import PointMaps

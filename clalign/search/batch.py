@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.engine.backend import Backend, DistortionKind
+from clalign.engine.backend import Backend
+from clalign.engine.reference import DistortionKind
 from clalign.geometry.geodesics import prefix_shares
 from clalign.geometry.shape import Shape
 from clalign.maps.orientation import orientation_scores

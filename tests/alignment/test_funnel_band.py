@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clalign.alignment.band import band_mask, funnel_band, funnel_widths
-from clalign.engine.backend import Band
+from clalign.engine.band import Band
 from clalign.options import AlignmentOptions
 
 

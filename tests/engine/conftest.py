@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clalign.engine.backend import Band
+from clalign.engine.band import Band
 from clalign.engine.device import Device, DeviceArray
 from clalign.engine.kernels import Kernels
 from clalign.engine.reference import Reference

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clalign.engine.backend import Band
+from clalign.engine.band import Band
 from clalign.engine.kernels import Kernels
 from clalign.engine.kernels_products import panel_ranges, row_ranges
 from clalign.engine.reference import Reference

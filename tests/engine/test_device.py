@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from clalign.engine import device as device_module
-from clalign.engine import open_backend
+from clalign.engine import device_class, open_backend
 from clalign.engine.device import Device, check_budget, require_precision
 from clalign.engine.device_choice import DeviceFacts, choose_device, list_devices, wanted_device
 from clalign.engine.kernels import Kernels
@@ -100,6 +100,21 @@ def test_double_precision_is_refused_where_it_is_missing():
     require_precision(CPU, "double")
 
 
+@pytest.mark.parametrize(
+    ("facts", "expected"),
+    [
+        (CPU, device_class.CPU),
+        (dataclasses.replace(CPU, vector=16), device_class.CPU),
+        (dataclasses.replace(CPU, vector=64), device_class.CPU_LONG_VECTORS),
+        (GPU, device_class.GPU),
+        (dataclasses.replace(GPU, vector=64), device_class.GPU),
+        (dataclasses.replace(CPU, kind="accelerator"), device_class.GPU),
+    ],
+)
+def test_a_device_belongs_to_a_class(facts, expected):
+    assert device_class.device_class(facts) == expected
+
+
 @pytest.mark.parametrize(("needed", "left"), [((1 << 30) + 1, 1 << 32), (1000, 999)])
 def test_too_large_an_array_is_refused_with_its_numbers(needed, left):
     with pytest.raises(MemoryBudgetError) as caught:
@@ -129,7 +144,11 @@ def test_unknown_programs_and_functions_are_errors(kernels: Kernels):
 
 @pytest.mark.parametrize(
     ("program", "function", "define"),
-    [("candidates", "map_distance", "FLOOR"), ("nearest", "nearest", "BOUND"), ("elementwise", "transpose", "TB")],
+    [
+        ("candidates", "map_distance", "FLOOR"),
+        ("nearest", "nearest", "CHECK_STEPS"),
+        ("elementwise", "transpose", "TB"),
+    ],
 )
 def test_a_missing_define_is_a_build_error_that_names_it(kernels: Kernels, capfd, program, function, define):
     with pytest.raises(DeviceError, match=rf"{program}\.cl do not build") as caught:
@@ -159,18 +178,6 @@ def test_with_out_given_nothing_is_allocated_built_or_waited_for(kernels: Kernel
     for name in ("_build", "allocate", "finish", "download"):
         monkeypatch.setattr(kernels.device, name, lambda *_, **__: pytest.fail("not allowed here"))
     sequence()
-
-
-def test_profile_names_every_kernel_that_ran(kernels: Kernels):
-    times: list[device_module.KernelTime] = []
-    a = kernels.array(np.ones((64, 64)))
-    with kernels.device.profiled(times):
-        kernels.product(a, a)
-        kernels.product(a, a, transpose_b=True)
-    launches = {record.kernel: record.launches for record in times}
-    assert launches == {"product": 2, "pack_panels": 1}
-    assert all(record.seconds > 0 for record in times)
-    assert [t.seconds for t in times] == sorted((t.seconds for t in times), reverse=True)
 
 
 def test_facts_for_reports(kernels: Kernels):

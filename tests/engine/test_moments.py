@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clalign.engine.kernels_soft import pair_runs, tile_rows
-from clalign.engine.reference import Reference
-from clalign.engine.reference_soft import pair_count, pair_factor
+from clalign.engine.device_class import CPU, CPU_LONG_VECTORS
+from clalign.engine.kernels_soft import fitted_tile_rows, pair_runs
+from clalign.engine.reference import Reference, pair_count, pair_factor
 
 SIZES = [(1, 1, 1), (97, 13, 7), (257, 40, 50), (1025, 33, 25)]
 
@@ -48,5 +48,6 @@ def test_runs_cover_every_pair(k):
 
 
 def test_tiles_waste_little():
-    assert [tile_rows(r) for r in (50, 100, 48, 5, 6)] == [5, 5, 6, 5, 6]
-    assert [tile_rows(r, long_vectors=True) for r in (50, 100, 48, 70, 7)] == [10, 10, 8, 10, 7]
+    assert [fitted_tile_rows(r, CPU.fitted_tile_rows) for r in (50, 100, 48, 5, 6)] == [5, 5, 6, 5, 6]
+    longer = CPU_LONG_VECTORS.fitted_tile_rows
+    assert [fitted_tile_rows(r, longer) for r in (50, 100, 48, 70, 7)] == [10, 10, 8, 10, 7]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clalign.engine import kernels_search
 from clalign.engine.kernels import Kernels
+from clalign.engine.reference import Reference
 
 
 @pytest.mark.parametrize(
@@ -18,10 +21,27 @@ def test_nearest_neighbour_scores_match_twin(check, rng, m, p, depth):
     assert index.dtype == np.int32
 
 
-@pytest.mark.parametrize("weighted", [True, False])
-def test_absolute_scores_match_twin(check, rng, weighted):
-    weights = rng.random(257) if weighted else None
-    check("nearest", rng.normal(size=(97, 40)), rng.normal(size=(257, 40)), weights, absolute=True)
+@pytest.mark.parametrize(("n", "n_y", "k"), [(1, 1, 1), (97, 257, 40), (1025, 5, 9), (33, 1025, 121)])
+def test_argmax_of_the_soft_map_matches_twin(check, rng, n, n_y, k):
+    index, _ = check("soft_map_argmax", rng.normal(size=(n, k)), rng.normal(size=(n_y, k)), rng.random(n_y))
+    assert index.dtype == np.int32
+
+
+def test_twin_of_the_argmax_is_that_of_the_stored_soft_map(reference: Reference, rng):
+    """Eq. 16 and 28: the column sums that make P of the weighted squares do not move the arg-max of a column."""
+    c, psi, w = rng.normal(size=(30, 6)), rng.normal(size=(40, 6)), rng.random(40)
+    weights = w[:, None] * (psi @ c.T) ** 2
+    index, score = reference.soft_map_argmax(c, psi, w)
+    np.testing.assert_array_equal(index, np.argmax(weights / weights.sum(axis=0), axis=0))
+    np.testing.assert_allclose(score, weights.max(axis=0), rtol=1e-12)
+
+
+def best(kernels: Kernels, operation: str, queries: np.ndarray, points: np.ndarray) -> list[np.ndarray]:
+    """Index and score without penalty, or with equal weights."""
+    arrays = [kernels.array(queries), kernels.array(points)]
+    if operation == "soft_map_argmax":
+        arrays.append(kernels.array(np.ones(len(points))))
+    return [kernels.numpy(part) for part in getattr(kernels, operation)(*arrays)]
 
 
 def test_finds_every_point_itself(kernels: Kernels, rng):
@@ -33,20 +53,21 @@ def test_finds_every_point_itself(kernels: Kernels, rng):
     np.testing.assert_allclose(kernels.numpy(score), penalty[order], rtol=1e-4)
 
 
-@pytest.mark.parametrize("absolute", [False, True])
-def test_ties_go_to_the_lowest_index(kernels: Kernels, rng, absolute):
+@pytest.mark.parametrize("operation", ["nearest", "soft_map_argmax"])
+def test_ties_go_to_the_lowest_index(kernels: Kernels, rng, operation):
     points = np.repeat(rng.normal(size=(1, 8)), 100, axis=0)
     points[:37] *= 0.5
     queries = np.repeat(points[-1:], 20, axis=0)
-    index, _ = kernels.nearest(kernels.array(queries), kernels.array(points), absolute=absolute)
-    np.testing.assert_array_equal(kernels.numpy(index), 37)
+    index, _ = best(kernels, operation, queries, points)
+    np.testing.assert_array_equal(index, 37)
 
 
-@pytest.mark.parametrize("absolute", [False, True])
-def test_all_scores_zero_gives_the_first_point(kernels: Kernels, absolute):
-    index, score = kernels.nearest(kernels.zeros((3, 4)), kernels.array(np.ones((33, 4))), absolute=absolute)
-    np.testing.assert_array_equal(kernels.numpy(index), 0)
-    np.testing.assert_array_equal(kernels.numpy(score), 0)
+@pytest.mark.parametrize("count", [5, 33])
+@pytest.mark.parametrize("operation", ["nearest", "soft_map_argmax"])
+def test_all_scores_zero_gives_the_first_point(kernels: Kernels, operation, count):
+    index, score = best(kernels, operation, np.zeros((3, 4)), np.ones((count, 4)))
+    np.testing.assert_array_equal(index, 0)
+    np.testing.assert_array_equal(score, 0)
 
 
 def test_negative_scores_still_name_a_point(kernels: Kernels, rng):
@@ -96,16 +117,18 @@ def test_giving_up_tiles_changes_no_bit(request, monkeypatch, rng, backend, make
     if with_penalty:
         arrays.append(on_device.array(0.5 * np.sum(points**2, axis=1)))
     found = []
-    for groups in (8, 32) if on_device.device.group == 1 else (1,):
-        monkeypatch.setattr(kernels_search.KernelSearches, "_nearest_groups", lambda *_, groups=groups: groups)
-        found.append([on_device.numpy(part) for part in on_device.nearest(*arrays)])
+    for groups in sorted(set(on_device.device.constants.nearest_groups)):
+        constants = replace(on_device.device.constants, nearest_groups=(groups, groups))
+        with monkeypatch.context() as patch:
+            patch.setattr(on_device.device, "constants", constants)
+            found.append([on_device.numpy(part) for part in on_device.nearest(*arrays)])
     # Good guesses, which are the result, bad ones, and none.
     guesses = found[0][0].copy()
     guesses[1::3] = rng.integers(0, 1337, size=guesses[1::3].size)
     guesses[2::3] = -1
     for guess in (found[0][0], guesses):
         found.append([on_device.numpy(part) for part in on_device.nearest(*arrays, guess=on_device.array(guess))])
-    monkeypatch.setattr(kernels_search, "BOUND", depth)
+    monkeypatch.setattr(kernels_search, "CHECK_STEPS", depth)
     full = [on_device.numpy(part) for part in on_device.nearest(*arrays)]
     for early in found:
         for part, whole in zip(early, full, strict=True):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from quick import QUICK, Run, left_in
 
-from clalign.alignment.objective import Objective, Evaluation
+from clalign.alignment.objective import Evaluation, Objective
 from clalign.correspondence import Correspondence
 
 

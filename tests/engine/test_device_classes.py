@@ -1,6 +1,6 @@
-"""What other devices choose, on whatever device the tests run on.
+"""Every class of devices, on whatever device the tests run on.
 
-The launch shape of a GPU (groups of 64 work-items, one tile each), and vectors of 32 and 64 bytes.
+The launch shape of a GPU (work-groups of 64, one tile a work-item), and vectors of 32 and 64 bytes.
 """
 
 from __future__ import annotations
@@ -11,16 +11,17 @@ import numpy as np
 import pytest
 
 from clalign.engine.device import Device
+from clalign.engine.device_class import CPU, CPU_LONG_VECTORS, GPU, DeviceClass
 from clalign.engine.kernels import Kernels
 from clalign.engine.kernels_arrays import ceil_div
 from clalign.engine.kernels_products import equal_parts
 from clalign.engine.reference import Reference
 
 
-@pytest.fixture(scope="module", params=[(64, 16), (1, 16), (1, 32)], ids=["groups", "32 bytes", "64 bytes"])
+@pytest.fixture(scope="module", params=[GPU, CPU, CPU_LONG_VECTORS], ids=["gpu", "cpu", "cpu, long vectors"])
 def wide(request: pytest.FixtureRequest) -> Kernels:
     kernels = Kernels(Device())
-    kernels.device.group, kernels.device.lanes = request.param
+    kernels.device.constants = request.param
     return kernels
 
 
@@ -51,6 +52,7 @@ def test_every_kernel_agrees_with_its_twin(wide: Kernels, rng):
     z, s = Reference().soft_map_streamed(c, psi, w, u)
     agree(wide, "soft_map_streamed_gradient", c, psi, w, u, z, s, dz)
     agree(wide, "nearest", c, psi, w)
+    agree(wide, "soft_map_argmax", c, psi, w)
     agree(wide, "gather", c, rng.integers(0, n, size=200))
     agree(wide, "scale_rows", psi, w)
 
@@ -76,7 +78,7 @@ def test_no_part_is_empty(length: int, most: int):
 def test_a_gram_matrix_is_the_sum_of_parts_that_were_all_written(rng):
     """614,401 rows in 1,024 parts of 601 would leave the last one empty."""
     kernels = Kernels(Device())
-    kernels.device.group, kernels.device.facts = 64, replace(kernels.device.facts, units=2)
+    kernels.device.constants, kernels.device.facts = GPU, replace(kernels.device.facts, units=2)
     values = rng.random((614_401, 1)).astype(np.float32)
     a, w = kernels.array(values), kernels.array(np.ones(len(values)))
     partial = kernels.device.scratch("splits", 1024)
@@ -85,11 +87,11 @@ def test_a_gram_matrix_is_the_sum_of_parts_that_were_all_written(rng):
     assert result[0, 0] == pytest.approx(np.sum(values.astype(np.float64) ** 2), rel=1e-5)
 
 
-@pytest.mark.parametrize("lanes", [8, 16])
-def test_sums_of_vectors_of_every_length(double_kernels, rng, lanes):
-    """Vectors of 4 and 8 doubles; the others here are of 8 and 16 floats."""
+@pytest.mark.parametrize("constants", [CPU, CPU_LONG_VECTORS], ids=["4 doubles", "8 doubles"])
+def test_sums_of_vectors_of_every_length(double_kernels, rng, constants: DeviceClass):
+    """Vectors of doubles; the others here are of 8 and 16 floats."""
     kernels = Kernels(Device(precision="double"))
-    kernels.device.lanes = lanes
+    kernels.device.constants = constants
     a = rng.normal(size=(37, 29))
     np.testing.assert_allclose(
         kernels.numpy(kernels.half_squares(kernels.array(a))), 0.5 * np.sum(a * a, axis=1), rtol=1e-14
