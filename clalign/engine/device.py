@@ -51,6 +51,7 @@ class Allocation:
         self.buffer = buffer
         self.size = size
         device.allocated += size
+        device.most = max(device.most, device.allocated)
 
     def __del__(self) -> None:
         self.device.allocated -= self.size
@@ -142,7 +143,7 @@ class Device:
         self.lanes = 2 * vector_bytes(self.facts) // self.dtype.itemsize
         self.group = 1 if self.facts.kind == "cpu" else 64
         self.budget = min(self.facts.memory, memory) if memory else self.facts.memory
-        self.allocated = 0
+        self.allocated = self.most = 0
         with self._answering("being opened"):
             self._context = cl.Context([handle])
             self._queue = cl.CommandQueue(self._context)
