@@ -12,7 +12,7 @@ from clalign.storage.files import size_text
 if TYPE_CHECKING:
     from clalign.mesh.defects import Diagnosis
     from clalign.options import Options
-    from clalign.resources.forecast import Forecast
+    from clalign.resources import Forecast
 
 EXIT_UNUSABLE = 2
 INDEX_SUFFIX = ".index.txt"
@@ -169,7 +169,7 @@ def _surface_facts(diagnosis: Diagnosis, path: str) -> dict[str, Any]:
 
 
 def _forecast(counts: list[int], options: Options) -> dict[str, Any]:
-    from clalign.resources.forecast import available_memory, forecast
+    from clalign.resources import available_memory, forecast
 
     predicted: Forecast = forecast(counts[0], counts[1], options)
     return {"seconds": predicted.seconds, "memory": predicted.memory, "available": available_memory()}

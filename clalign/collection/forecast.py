@@ -12,8 +12,8 @@ from clalign.collection.session import HELD_SHAPES
 from clalign.errors import MemoryBudgetError, MeshError, ResultError
 from clalign.mesh.mesh import load_mesh
 from clalign.options import Options
-from clalign.resources.forecast import available_memory
-from clalign.resources.forecast import forecast as forecast_match
+from clalign.resources import available_memory
+from clalign.resources import forecast as forecast_match
 
 DASK_BYTES = 250e6
 """Of a worker process, beside what a single match takes: Dask, and what the allocator keeps from earlier pairs."""
@@ -75,7 +75,7 @@ def forecast(
         cache=sum(shape_bytes(vertices * part, options) for part in share),
         pair=pair,
         pairs=pair * pairs,
-        worker=DASK_BYTES + (match.memory if pages else match.match_memory) + (HELD_SHAPES - 2) * shape,
+        worker=DASK_BYTES + match.memory + (HELD_SHAPES - 2) * shape,
     )
 
 

@@ -40,6 +40,7 @@ class Allocation:
         self.buffer = buffer
         self.size = size
         device.allocated += size
+        device.most = max(device.most, device.allocated)
 
     def __del__(self) -> None:
         self.device.allocated -= self.size
@@ -130,7 +131,7 @@ class Device:
         self.dtype = np.dtype(np.float64 if precision == "double" else np.float32)
         self.constants = device_class(self.facts)
         self.budget = min(self.facts.memory, memory) if memory else self.facts.memory
-        self.allocated = 0
+        self.allocated = self.most = 0
         with self._answering("being opened"):
             self._context = cl.Context([handle])
             self._queue = cl.CommandQueue(self._context)

@@ -19,7 +19,7 @@ from clalign.matching.result import correspondence
 from clalign.matching.state import MatchState
 from clalign.mesh.mesh import as_mesh
 from clalign.options import Options
-from clalign.resources.forecast import require_memory
+from clalign.resources import require_memory
 
 
 def match(

@@ -6,12 +6,13 @@ import argparse
 
 from clalign.cli.bench import accuracy as bench_accuracy
 from clalign.cli.bench import collection as bench_collection
+from clalign.cli.bench import forecast as bench_forecast
 from clalign.cli.bench import kernels as bench_kernels
 from clalign.cli.bench import pair as bench_pair
 from clalign.cli.bench import scale as bench_scale
 from clalign.cli.bench import study as bench_study
 
-SUBCOMMANDS = (bench_accuracy, bench_study, bench_collection, bench_kernels, bench_pair, bench_scale)
+SUBCOMMANDS = (bench_accuracy, bench_study, bench_collection, bench_kernels, bench_pair, bench_scale, bench_forecast)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
