@@ -1,7 +1,8 @@
 """Draw the pictures of the documentation with ``clalign figures``; those that are there already are kept.
 
 ``python docs/gallery.py`` draws the bundled pair (some minutes: Fig. 5 and 7 run the method as printed);
-``--quick`` draws the same with few eigenfunctions and few rounds. Meshes and a truth of one's own may be named.
+``--quick`` draws the same with few eigenfunctions and one outer iteration. Meshes and a truth of one's own may be
+named.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from types import ModuleType
 import pytest
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
+OLD_NAMES = "## Renamed and removed options\n"
 
 
 @pytest.fixture(scope="module")
@@ -55,17 +56,27 @@ def test_every_figure_has_a_page_that_shows_it(gallery: ModuleType) -> None:
 
 def test_pages_name_options_and_methods_that_exist() -> None:
     from clalign.benchmark.methods import NAMED
+    from clalign.option_values import flattened
     from clalign.options import Options
 
-    text = "".join(path.read_text(encoding="utf-8") for path in DOCS.rglob("*.md"))
-    groups = "spectrum|geodesics|search|alignment|readout|engine"
-    for name, value in re.findall(rf"`(?:--set )?((?:{groups})\.\w+)(?:=([a-z\d][\w.-]*))?", text):
-        current = Options().as_dict()[name.partition(".")[0]][name.partition(".")[2]]
-        Options().replace({name: value or current})
+    texts = [path.read_text(encoding="utf-8").partition(OLD_NAMES)[0] for path in DOCS.rglob("*.md")]
+    known = flattened(Options().as_dict())
+    groups = "spectrum|geodesics|search|alignment|readout|engine|rules"
+    for name, value in re.findall(rf"`(?:--set )?((?:{groups})\.[\w.]+)(?:=([a-z\d][\w.-]*))?", "".join(texts)):
+        Options().replace({name: value or known[name]})
     table = (DOCS / "variants.md").read_text(encoding="utf-8").split("|---|---|---|\n")[1].split("\n\n")[0]
     for row in table.splitlines():
         for method in re.findall(r"`([\w-]+)`", row.split(" | ")[-1]):
             assert method in NAMED
+
+
+def test_the_page_of_options_lists_every_old_name_that_is_still_taken() -> None:
+    from clalign.option_values import REMOVED, RENAMED, RENAMED_VALUES
+
+    section = (DOCS / "options.md").read_text(encoding="utf-8").partition(OLD_NAMES)[2]
+    values = {(f"{name}={old}", f"{name}={new}") for (name, old), new in RENAMED_VALUES.items()}
+    assert set(re.findall(r"^\| `([^`]+)` \| `([^`]+)` \|$", section, re.MULTILINE)) == values | set(RENAMED.items())
+    assert all(f"`{name}`" in section for name in REMOVED)
 
 
 def test_documentation_builds_without_a_warning(tmp_path: Path) -> None:
