@@ -13,16 +13,16 @@ help: ## show this list
 demo: $(VENV)/.installed-demo ## match the bundled pair of humans; the result goes to clalign-demo/
 	$(BIN)/clalign demo
 
-test: $(VENV)/.installed-test lint ## run the linters and every test
+test: $(VENV)/.installed-dev lint ## run the linters and every test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest
 
-lint: $(VENV)/.installed-test ## check style, types and the direction of imports
+lint: $(VENV)/.installed-dev ## check style, types and the direction of imports
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-docs: $(VENV)/.installed-docs ## build the documentation into docs/_build/html, with the figures that are missing
+docs: $(VENV)/.installed-dev ## build the documentation into docs/_build/html, with the figures that are missing
 	$(BIN)/python docs/gallery.py
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
 
@@ -45,10 +45,6 @@ $(VENV)/.installed-demo: $(VENV)/bin/python pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[pocl,plots]'
 	@touch $@
 
-$(VENV)/.installed-test: $(VENV)/bin/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[pocl,plots,test,lint]'
+$(VENV)/.installed-dev: $(VENV)/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[pocl,plots,dev]'
 	@touch $@ $(VENV)/.installed-demo
-
-$(VENV)/.installed-docs: $(VENV)/bin/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[pocl,plots,docs]'
-	@touch $@
