@@ -22,7 +22,7 @@ def generated_pair(count: int, seed: int = 0) -> LoadedPair:
     """Return a pair of meshes of `count` vertices each and the nearest target vertex of every source vertex.
 
     The body is a stretched sphere with bumps and no symmetry; the target is bent about an axis across it. Both are the
-    convex hull of a turned and jittered spiral of points on the sphere, so that no two vertices are the same point and
+    convex hull of a rotated and jittered spiral of points on the sphere, so that no two vertices are the same point and
     no two faces the same triangle.
 
     Raises
@@ -40,7 +40,7 @@ def generated_pair(count: int, seed: int = 0) -> LoadedPair:
 
 
 def _points_on_sphere(count: int, seed: int) -> NDArray[np.float64]:
-    """Return a Fibonacci spiral in a random order, jittered and turned."""
+    """Return a Fibonacci spiral in a random order, jittered and rotated."""
     rng = np.random.default_rng(seed)
     order = rng.permutation(count)
     height = 1.0 - (2.0 * order + 1.0) / count
@@ -63,9 +63,9 @@ def _body(directions: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
 
 
 def _bent(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    turn = BEND * points[:, 0] / 2.0
+    angle = BEND * points[:, 0] / 2.0
     x, y, z = points.T
-    return np.stack([x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z], axis=1)
+    return np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle), z], axis=1)
 
 
 def _mesh(directions: NDArray[np.float64], points: NDArray[np.float64], name: str) -> Mesh:

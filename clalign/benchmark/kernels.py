@@ -242,8 +242,8 @@ def loss_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Iterat
     square, band = kernels.array(_random(rng, d, d)), funnel_band(d, AlignmentOptions())
     out = (kernels.zeros(()), kernels.zeros(()), kernels.zeros((d, d)), kernels.zeros((d, d)))
     rotation = kernels.band_expand(kernels.array(_random(rng, band.count)), band)
-    turned = kernels.transpose(rotation)
-    alignment: Run = lambda: kernels.alignment(rotation, turned, square, square, square, band, out=out)  # noqa: E731
+    transposed = kernels.transpose(rotation)
+    alignment: Run = lambda: kernels.alignment(rotation, transposed, square, square, square, band, out=out)  # noqa: E731
     yield Case("alignment", f"d={d}", _alignment_work(band), alignment, *_numpy_product(rng, d, d, 4 * d))
 
 

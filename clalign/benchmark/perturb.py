@@ -67,8 +67,8 @@ def noise(mesh: Mesh, amount: float = 0.2, seed: int = 0, direction: Literal["no
 
 def rotate(mesh: Mesh, seed: int = 0) -> Perturbed:
     """Turn the mesh by a random rotation about the origin of its file."""
-    turn = Rotation.from_rotvec(np.random.default_rng(seed).uniform(-2, 2, 3)).as_matrix()
-    return _same_vertices(mesh, mesh.file_vertices() @ turn.T, "rotated")
+    rotation = Rotation.from_rotvec(np.random.default_rng(seed).uniform(-2, 2, 3)).as_matrix()
+    return _same_vertices(mesh, mesh.file_vertices() @ rotation.T, "rotated")
 
 
 def scale(mesh: Mesh, factor: float) -> Perturbed:

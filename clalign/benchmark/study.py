@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from clalign.benchmark.methods import AlignMethod, split_list
-from clalign.benchmark.table import COLUMNS, Summary, error_cells, markdown_table
 from clalign.errors import OptionError
 from clalign.options import Options
+
+if TYPE_CHECKING:
+    from clalign.benchmark.table import Summary
 
 BASE = "base"
 
@@ -141,6 +143,8 @@ def methods_of(settings: Sequence[Setting], base: Options) -> list[AlignMethod]:
 
 def study_table(title: str, settings: Sequence[Setting], summaries: Sequence[Summary], base: Options) -> str:
     """Return a Markdown table, the rows of the base in bold, with a block of rows for each suite."""
+    from clalign.benchmark.table import COLUMNS, error_cells, markdown_table
+
     columns = COLUMNS[2:]
     rows = []
     suites = list(dict.fromkeys(summary.suite for summary in summaries))

@@ -70,8 +70,8 @@ class Distances:
         distances = np.empty(truth.size)
         for vertex, points in _grouped(truth):
             distances[points] = np.sum(self.row(vertex)[corners[points]] * weights[points], axis=1)
-        places = np.einsum("pc,pcx->px", weights, self._mesh.vertices[corners])
-        straight = np.linalg.norm(places - self._mesh.vertices[truth], axis=1)
+        inside = np.einsum("pc,pcx->px", weights, self._mesh.vertices[corners])
+        straight = np.linalg.norm(inside - self._mesh.vertices[truth], axis=1)
         adjacent = (corners == truth[:, None]).any(axis=1)
         return np.where(adjacent | (self._bounded & (straight > distances)), straight, distances)
 
@@ -101,7 +101,7 @@ def with_distances_of(target: Shape, source: Shape, truth: Truth) -> Shape:
         The truth has no point on both surfaces.
     """
     maps = true_maps(source.mesh, target.mesh, truth)
-    # With Q R the decomposition of the carried factor in the target's areas, U T Uᵀ = Q (R T Rᵀ) Qᵀ.
+    # With Q R the decomposition of the pulled-back factor in the target's areas, U T Uᵀ = Q (R T Rᵀ) Qᵀ.
     root = np.sqrt(target.mass)[:, None]
     left, triangle = scipy.linalg.qr(source.factors.left[maps.source_of_target] * root, mode="economic")
     core = triangle @ source.factors.core @ triangle.T

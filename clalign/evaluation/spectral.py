@@ -51,7 +51,7 @@ class PairRotation:
 
 
 def as_computed(spectrum: Spectrum) -> NDArray[np.float64]:
-    """Return the (n, d) eigenfunctions with the solver's signs, whatever signs a match has folded into them."""
+    """Return the (n, d) eigenfunctions with the solver's signs, whatever signs it absorbed in a match."""
     return fix_signs(spectrum.functions, spectrum.mass)
 
 
@@ -66,16 +66,16 @@ def alignment_errors(
     Parameters
     ----------
     source, target : (n_x, d) and (n_y, d) functions Φ̂ and Ψ̂, aligned or not.
-    target_of_source : (n_x,) true map; Π* carries functions on the target to the source.
+    target_of_source : (n_x,) true map; Π* pulls functions on the target back to the source.
     mass : (n_x,) vertex areas of the source: the norm is that of the Euclidean metric.
 
     Returns
     -------
     (d,) float64: 0 for equal functions, about 1.4 for unrelated ones, 2 for opposite ones.
     """
-    carried = target[target_of_source]
-    difference = np.sqrt(mass @ np.square(carried - source))
-    return np.asarray(difference / np.maximum(np.sqrt(mass @ np.square(carried)), np.finfo(np.float64).tiny))
+    pulled = target[target_of_source]
+    difference = np.sqrt(mass @ np.square(pulled - source))
+    return np.asarray(difference / np.maximum(np.sqrt(mass @ np.square(pulled)), np.finfo(np.float64).tiny))
 
 
 def spectral_errors(correspondence: Correspondence, maps: PointMaps) -> SpectralErrors:
@@ -108,18 +108,18 @@ def true_rotation(
     -------
     (d, d) float64; orthogonal as far as the shapes are isometric.
     """
-    carried = source[source_of_target]
-    return np.asarray(carried.T @ (target.mass[:, None] * target.functions[:, : source.shape[1]]))
+    pulled = source[source_of_target]
+    return np.asarray(pulled.T @ (target.mass[:, None] * target.functions[:, : source.shape[1]]))
 
 
 def recovered_rotation(correspondence: Correspondence) -> NDArray[np.float64]:
     """Return the C̃ that a match amounts to, for the eigenfunctions as the solver gives them.
 
-    (Φ̃ S) R ≈ Ψ̃_π Rᵀ with the folded signs S and a nearly orthogonal R means C̃ = S R R (Eq. 19); for a one-sided match
+    (Φ̃ S) R ≈ Ψ̃_π Rᵀ with the absorbed signs S and a nearly orthogonal R means C̃ = S R R (Eq. 19); for a one-sided match
     it is S C̃ (Eq. 18).
     """
-    folded = correspondence.source_descriptors
-    signs = np.sign(np.einsum("nd,nd->d", folded.functions, as_computed(folded)))[: len(correspondence.rotation)]
+    absorbed = correspondence.source_descriptors
+    signs = np.sign(np.einsum("nd,nd->d", absorbed.functions, as_computed(absorbed)))[: len(correspondence.rotation)]
     rotation = correspondence.rotation
     if correspondence.options.alignment.sides == "both":
         rotation = rotation @ rotation

@@ -1,4 +1,4 @@
-"""``clalign bench study PATH --of NAME``: tables over the values that the paper fixed by hand."""
+"""``clalign bench study PATH --of NAME``: tables over values that were fixed by hand."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clalign.benchmark.study import STUDIES
 from clalign.cli.bench.common import (
     EXIT_INTERRUPTED,
     add_option_arguments,
@@ -39,7 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add ``study``."""
     parser = subparsers.add_parser(
         "study",
-        help="tables over lambda, the funnel, xi, sizes, samples, rounds, or any option",
+        help="tables over one choice of the method: lambda, the funnel, xi, sizes, or any option",
         description=_DESCRIPTION,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -49,9 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--root", metavar="DIR", type=Path, help="instead of PATH: a folder as of 'clalign bench faust'"
     )
-    parser.add_argument(
-        "--of", metavar="NAMES", default="", help="comma-separated: weight, band, xi, sizes, samples, rounds"
-    )
+    parser.add_argument("--of", metavar="NAMES", default="", help=f"comma-separated: {', '.join(STUDIES)}")
     parser.add_argument(
         "--vary",
         metavar="OPTION=VALUES",
