@@ -258,9 +258,9 @@ def _boundaries(count: int) -> str:
 
 def _cost(predicted: dict[str, Any]) -> str:
     available = predicted["available"]
-    room = "" if available is None else f" of {size_text(available)} that are free"
-    verdict = " (TOO MUCH)" if available is not None and predicted["memory"] > available else ""
-    return f"about {_duration(predicted['seconds'])}, {size_text(predicted['memory'])}{room}{verdict}"
+    free = "" if available is None else f" of {size_text(available)} that are free"
+    too_much = " (TOO MUCH)" if available is not None and predicted["memory"] > available else ""
+    return f"about {_duration(predicted['seconds'])}, {size_text(predicted['memory'])}{free}{too_much}"
 
 
 def _duration(seconds: float) -> str:

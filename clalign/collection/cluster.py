@@ -54,8 +54,8 @@ def open_client(scheduler: str | None, workers: int, folder: Path) -> Iterator[C
         import distributed
     except ImportError as error:
         raise OptionError('collections run on Dask: pip install "clalign[collection]"') from error
-    calm = {"distributed.comm.timeouts.connect": "60s", "distributed.admin.tick.limit": "60s"}
-    with dask.config.set(calm), _quiet():
+    patient = {"distributed.comm.timeouts.connect": "60s", "distributed.admin.tick.limit": "60s"}
+    with dask.config.set(patient), _quiet():
         if scheduler is None:
             with _local_cluster(workers) as cluster, distributed.Client(cluster) as client:
                 yield client
@@ -94,15 +94,15 @@ def _local_cluster(workers: int) -> Iterator[LocalCluster]:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Keep Dask's own log, which tells of every connection and of workers that we mean to lose, off the terminal."""
-    talkers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
-    levels = [talker.level for talker in talkers]
-    for talker in talkers:
-        talker.setLevel(logging.CRITICAL)
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [each.level for each in loggers]
+    for each in loggers:
+        each.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        for talker, level in zip(talkers, levels, strict=True):
-            talker.setLevel(level)
+        for each, level in zip(loggers, levels, strict=True):
+            each.setLevel(level)
 
 
 def shared_out(workers: int) -> dict[str, str]:

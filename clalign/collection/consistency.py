@@ -26,7 +26,7 @@ NETWORK_BYTES = 4e9
 
 
 @dataclass(frozen=True)
-class Verdict:
+class NetworkCheck:
     """What the network says of the pairs.
 
     Attributes
@@ -43,7 +43,7 @@ class Verdict:
     digest: str
 
 
-def judged(store: Store, names: Sequence[str], rows: Sequence[PairRow], *, wrong: float = WRONG) -> Verdict:
+def checked_by_network(store: Store, names: Sequence[str], rows: Sequence[PairRow]) -> NetworkCheck:
     """Synchronise the maps of all direct rows that are "ok", and find those that contradict the rest.
 
     Parameters
@@ -51,7 +51,6 @@ def judged(store: Store, names: Sequence[str], rows: Sequence[PairRow], *, wrong
     store : has the maps.
     names : of the shapes; the network numbers them so.
     rows : of matched pairs.
-    wrong : see `WRONG`.
     """
     number = {name: index for index, name in enumerate(names)}
     used = [index for index, row in enumerate(rows) if row.ok]
@@ -70,15 +69,15 @@ def judged(store: Store, names: Sequence[str], rows: Sequence[PairRow], *, wrong
     cycles = cycle_errors(edges)
     confidence = np.array([rows[index].confidence or 0.0 for index in used])
     network = synchronise(replace(edges, weights=cycle_weights(confidence, cycles)))
-    judged_rows = list(rows)
+    checked_rows = list(rows)
     for place, index in enumerate(used):
-        judged_rows[index] = replace(
+        checked_rows[index] = replace(
             rows[index],
             cycle_error=finite_or_none(cycles[place]),
             network_error=finite_or_none(network.residuals[place]),
         )
-    contradicting = tuple(index for place, index in enumerate(used) if network.residuals[place] > wrong)
-    return Verdict(network, tuple(judged_rows), contradicting, _digest(network.frames))
+    contradicting = tuple(index for place, index in enumerate(used) if network.residuals[place] > WRONG)
+    return NetworkCheck(network, tuple(checked_rows), contradicting, _digest(network.frames))
 
 
 def missing_pairs(network: Network, matched: set[frozenset[int]]) -> list[tuple[int, int]]:

@@ -22,7 +22,7 @@ from clalign.collection.choice import (
     tree_pairs,
 )
 from clalign.collection.cluster import Task, open_client, outcomes, worker_count
-from clalign.collection.consistency import WORSE, WRONG, Verdict, judged, missing_pairs
+from clalign.collection.consistency import WORSE, NetworkCheck, checked_by_network, missing_pairs
 from clalign.collection.forecast import check_disk, forecast, workers_that_fit
 from clalign.collection.members import Member, read_members
 from clalign.collection.result import Collection
@@ -236,36 +236,36 @@ class Job:
         """Synchronise the network, repair what contradicts it, and derive the other pairs if that is asked for."""
         names = tuple(member.name for member in self.members)
         self.report("network", 0.0, "")
-        verdict = judged(self.store, names, list(self.direct.values()), wrong=WRONG)
-        self.store.write_network(names, verdict.network)
-        self.report("network", 1.0, f"{len(verdict.wrong)} maps contradict the others")
-        self.final = {(row.source, row.target): row for row in verdict.rows}
-        tasks = self._repairs(verdict)
+        check = checked_by_network(self.store, names, list(self.direct.values()))
+        self.store.write_network(names, check.network)
+        self.report("network", 1.0, f"{len(check.wrong)} maps contradict the others")
+        self.final = {(row.source, row.target): row for row in check.rows}
+        tasks = self._repairs(check)
         if everything:
-            tasks += self._derivations(verdict)
+            tasks += self._derivations(check)
         estimate = Estimate(len(tasks))
         for task, value in outcomes(client, tasks):
             row = self._derived_row(task, value)
             self.final[row.source, row.target] = row
             self.report("consistent", *estimate.step(row))
 
-    def _repairs(self, verdict: Verdict) -> list[Task]:
-        rows = [verdict.rows[index] for index in verdict.wrong]
-        return [self._derivation(row.source, row.target, row.distortion, verdict) for row in rows]
+    def _repairs(self, check: NetworkCheck) -> list[Task]:
+        rows = [check.rows[index] for index in check.wrong]
+        return [self._derivation(row.source, row.target, row.distortion, check) for row in rows]
 
-    def _derivations(self, verdict: Verdict) -> list[Task]:
+    def _derivations(self, check: NetworkCheck) -> list[Task]:
         number = {member.name: index for index, member in enumerate(self.members)}
         matched = {frozenset((number[row.source], number[row.target])) for row in self.direct.values() if row.ok}
         names = [member.name for member in self.members]
-        return [self._derivation(names[i], names[j], None, verdict) for i, j in missing_pairs(verdict.network, matched)]
+        return [self._derivation(names[i], names[j], None, check) for i, j in missing_pairs(check.network, matched)]
 
-    def _derivation(self, source: str, target: str, distortion: float | None, verdict: Verdict) -> Task:
+    def _derivation(self, source: str, target: str, distortion: float | None, check: NetworkCheck) -> Task:
         first, second = self.by_name[source], self.by_name[target]
-        functional = verdict.network.functional(self.members.index(first), self.members.index(second))
+        functional = check.network.functional(self.members.index(first), self.members.index(second))
         return Task(
             _name("consistent", source, target),
             derive_members,
-            (first, second, functional, distortion, verdict.digest, self.settings),
+            (first, second, functional, distortion, check.digest, self.settings),
         )
 
     def _derived_row(self, task: Task, value: Any) -> PairRow:

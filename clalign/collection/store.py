@@ -41,7 +41,7 @@ MAPS_FILE = "maps.npz"
 RESULT_FOLDER = "result"
 CACHE_FOLDER = "shapes"
 
-Room = Literal["pairs", "consistent"]
+Subfolder = Literal["pairs", "consistent"]
 
 
 @dataclass(frozen=True)
@@ -165,19 +165,19 @@ class Store:
         finally:
             os.close(handle)
 
-    def pair_folder(self, room: Room, source: str, target: str) -> Path:
+    def pair_folder(self, subfolder: Subfolder, source: str, target: str) -> Path:
         """Return the folder of a pair, whether or not it is there."""
-        return self.folder / room / source / target
+        return self.folder / subfolder / source / target
 
-    def pair_names(self, room: Room) -> Iterator[tuple[str, str]]:
+    def pair_names(self, subfolder: Subfolder) -> Iterator[tuple[str, str]]:
         """Yield source and target of every pair folder that is there, whole or not."""
-        for folder in sorted((self.folder / room).glob("*/*")):
+        for folder in sorted((self.folder / subfolder).glob("*/*")):
             if not folder.name.startswith("."):
                 yield folder.parent.name, folder.name
 
-    def finished(self, room: Room, source: str, target: str, key: str) -> PairRow | None:
+    def finished(self, subfolder: Subfolder, source: str, target: str, key: str) -> PairRow | None:
         """Return the row of a pair whose folder is whole and was written under this key, else None."""
-        folder = self.pair_folder(room, source, target)
+        folder = self.pair_folder(subfolder, source, target)
         recover(folder)
         try:
             document = json.loads((folder / PAIR_FILE).read_text(encoding="utf-8"))
@@ -186,7 +186,7 @@ class Store:
             return None
 
     def write_pair(
-        self, room: Room, row: PairRow, key: str, maps: PairMaps, more: Callable[[Path], None] | None = None
+        self, subfolder: Subfolder, row: PairRow, key: str, maps: PairMaps, more: Callable[[Path], None] | None = None
     ) -> None:
         """Write the folder of a pair, wholly or not at all.
 
@@ -194,7 +194,7 @@ class Store:
         ----------
         more : called with the unfinished folder, to add files that belong to the same whole.
         """
-        with atomic_folder(self.pair_folder(room, row.source, row.target), PAIR_FILE, force=True) as unfinished:
+        with atomic_folder(self.pair_folder(subfolder, row.source, row.target), PAIR_FILE, force=True) as unfinished:
             np.savez(
                 unfinished / MAPS_FILE,
                 target_of_source=maps.target_of_source,
@@ -206,7 +206,7 @@ class Store:
             text = json.dumps({"key": key, "row": plain(row)}, indent=1, ensure_ascii=False, allow_nan=False)
             (unfinished / PAIR_FILE).write_text(text + "\n", encoding="utf-8")
 
-    def read_maps(self, room: Room, source: str, target: str) -> PairMaps:
+    def read_maps(self, subfolder: Subfolder, source: str, target: str) -> PairMaps:
         """Read the maps of a pair.
 
         Raises
@@ -214,7 +214,7 @@ class Store:
         ResultError
             They are not there or damaged.
         """
-        path = self.pair_folder(room, source, target) / MAPS_FILE
+        path = self.pair_folder(subfolder, source, target) / MAPS_FILE
         try:
             with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
                 return PairMaps(*(stored[name] for name in ("target_of_source", "source_of_target", "functional_map")))

@@ -19,7 +19,7 @@ from clalign.collection.derive import derived_correspondence
 from clalign.collection.members import Member
 from clalign.collection.rows import Kind, PairRow, ShapeRow
 from clalign.collection.session import Settings, session
-from clalign.collection.store import RESULT_FOLDER, PairMaps, Room, pair_key
+from clalign.collection.store import RESULT_FOLDER, PairMaps, Subfolder, pair_key
 from clalign.correspondence import Correspondence, finite_or_none
 from clalign.errors import ClalignError
 from clalign.maps.functional_maps import two_way_functional_map
@@ -105,10 +105,10 @@ def derive_members(
 def _finished_pair(
     source: Member, target: Member, kind: Kind, key: str, work: Callable[[], Correspondence], settings: Settings
 ) -> PairRow:
-    room: Room = "pairs" if kind == "direct" else "consistent"
+    subfolder: Subfolder = "pairs" if kind == "direct" else "consistent"
     started = time.perf_counter()
     try:
-        done = settings.store.finished(room, source.name, target.name, key)
+        done = settings.store.finished(subfolder, source.name, target.name, key)
         if done is not None:
             return done
         loaded = session(settings).loaded
@@ -123,7 +123,7 @@ def _finished_pair(
             peak_memory=_peak_memory(),
         )
         maps = pair_maps(result, settings.latent)
-        settings.store.write_pair(room, row, key, maps, lambda folder: _extras(result, folder, settings))
+        settings.store.write_pair(subfolder, row, key, maps, lambda folder: _extras(result, folder, settings))
         return row
     except Exception as error:
         logger.debug("%s %s", source.name, target.name, exc_info=True)

@@ -230,7 +230,7 @@ def _clamped_power(
     return np.clip(magnitude, floor, max(high, floor)) ** options.xi
 
 
-def heat_kernel_curvature(spectrum: Spectrum, time: float | None = None) -> NDArray[np.float64]:
+def heat_kernel_curvature(spectrum: Spectrum) -> NDArray[np.float64]:
     """Return the Gaussian curvature read off the diagonal of the heat kernel, smoothed over the diffusion length.
 
     For small t, h_t(x, x) = (1 + K t / 3 + O(t²)) / (4πt), so K = (3 / t) (4πt h_t(x, x) − 1), where
@@ -242,15 +242,13 @@ def heat_kernel_curvature(spectrum: Spectrum, time: float | None = None) -> NDAr
     Parameters
     ----------
     spectrum : Laplace–Beltrami eigenfunctions.
-    time : diffusion time in units of squared length; None chooses it as above.
 
     Returns
     -------
     (n,) float64, in units of 1/area.
     """
     last = float(spectrum.eigenvalues[-1])
-    if time is None:
-        time = max(HEAT_TIME * float(spectrum.mass.sum()), 6.0 / max(last, np.finfo(np.float64).tiny))
+    time = max(HEAT_TIME * float(spectrum.mass.sum()), 6.0 / max(last, np.finfo(np.float64).tiny))
     kernel = np.square(spectrum.functions) @ np.exp(-spectrum.eigenvalues * time)
     tail = np.exp(-last * time) / (4.0 * np.pi * time)
     return (3.0 / time) * (4.0 * np.pi * time * (kernel + tail) - 1.0)

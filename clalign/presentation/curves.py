@@ -29,8 +29,6 @@ def save_error_curves(
     path: str | Path,
     *,
     unit: Unit = "sqrt_area",
-    title: str = "",
-    largest: float = float(THRESHOLDS[-1]),
 ) -> None:
     """Draw curves over the thresholds of `clalign.evaluation.errors` into a PNG, SVG or PDF file.
 
@@ -39,7 +37,6 @@ def save_error_curves(
     curves : label to (251,) shares, drawn in this order; the legend adds the area under each curve.
     path : the ending chooses the format.
     unit : what errors are divided by, for the axis.
-    largest : right end of the axis.
 
     Raises
     ------
@@ -56,8 +53,7 @@ def save_error_curves(
     except ImportError as error:
         raise InputError("pictures of curves need matplotlib: pip install 'clalign[plots]'") from error
     figure = Figure(figsize=(5.6, 3.8 + legend_height(len(curves))), layout="constrained")
-    axes = figure.add_subplot(title=title)
-    plot_error_curves(axes, curves, unit, largest)
+    plot_error_curves(figure.add_subplot(), curves, unit, float(THRESHOLDS[-1]))
     try:
         figure.savefig(path, dpi=160)
     except (ValueError, OSError) as error:

@@ -15,6 +15,7 @@ from clalign.mesh.topology import vertex_normals
 _INK = (70, 70, 70)
 _LOWEST_MARGIN = 12
 """Rows below which a word could not be read."""
+_RAYS = 2
 _BLOCK = 1 << 17
 _DEPTH_LEVELS = 1 << 30
 _KEY_LIGHT = np.array([-0.38, 0.52, 0.76])
@@ -27,10 +28,11 @@ def rasterise(
     colours: NDArray[np.floating],
     size: tuple[int, int],
     *,
-    supersample: int = 2,
     background: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> NDArray[np.uint8]:
     """Draw one mesh, seen along the negative third axis, with smooth shading and hidden surfaces removed.
+
+    Every pixel is the mean, in linear light, of `_RAYS` rays along each axis.
 
     Parameters
     ----------
@@ -38,24 +40,23 @@ def rasterise(
     faces : (m, 3) int.
     colours : (n, 3) float in [0, 1], sRGB.
     size : (width, height) of the image in pixels.
-    supersample : rays per pixel and axis, averaged in linear light.
     background : sRGB colour where nothing is hit.
 
     Returns
     -------
     (height, width, 3) uint8.
     """
-    width, height = size[0] * supersample, size[1] * supersample
-    points = np.asarray(vertices, dtype=np.float64) * supersample
+    width, height = size[0] * _RAYS, size[1] * _RAYS
+    points = np.asarray(vertices, dtype=np.float64) * _RAYS
     scene = _scene(points, np.asarray(faces, dtype=np.int64), np.asarray(colours, dtype=np.float32), width, height)
     empty = _linear(np.asarray(background, dtype=np.float32))
     image = np.empty((size[1], size[0], 3), dtype=np.uint8)
     # Rows of the finished image at a time: a picture that a shape fills would take a gigabyte at once.
-    step = max(1, _BLOCK // (width * supersample))
+    step = max(1, _BLOCK // (width * _RAYS))
     for first in range(0, size[1], step):
         last = min(first + step, size[1])
-        lit = _lit_rows(scene, first * supersample, last * supersample, width, empty)
-        blocks = lit.reshape(last - first, supersample, size[0], supersample, 3).mean(axis=(1, 3))
+        lit = _lit_rows(scene, first * _RAYS, last * _RAYS, width, empty)
+        blocks = lit.reshape(last - first, _RAYS, size[0], _RAYS, 3).mean(axis=(1, 3))
         image[first:last] = np.rint(_encoded(blocks) * 255.0)
     return np.ascontiguousarray(image[::-1])
 

@@ -20,7 +20,6 @@ from clalign.transfer.surface_map import surface_map
 def show(
     correspondence: Correspondence,
     *,
-    scalars: NDArray[np.floating] | None = None,
     up: Up | None = None,
     screenshot: str | Path | None = None,
 ) -> None:
@@ -29,7 +28,6 @@ def show(
     Parameters
     ----------
     correspondence : the match.
-    scalars : (n_target,) a function on the target to show on both shapes instead of colours by position.
     up : coordinate axis of the target that points up, if the guess from its extent is wrong.
     screenshot : write a PNG there instead of opening a window.
 
@@ -45,18 +43,14 @@ def show(
     source, target = correspondence.source, correspondence.target
     view = front_view(target.vertices, up)
     to_target = surface_map(correspondence)
-    if scalars is None:
-        on_target = position_colours(target.vertices, view)
-        on_source = carried_colours(on_target, to_target)
-    else:
-        on_target = np.asarray(scalars, dtype=np.float64)
-        on_source = np.where(to_target.matched, to_target.pull(on_target), np.nan)
+    on_target = position_colours(target.vertices, view)
+    on_source = carried_colours(on_target, to_target)
     source_view = view @ map_rotation(source.vertices, target.vertices, to_target)
     plotter: Any = pyvista.Plotter(shape=(1, 2), off_screen=screenshot is not None, window_size=[1400, 800])
     for column, (mesh, axes, values) in enumerate(((source, source_view, on_source), (target, view, on_target))):
         plotter.subplot(0, column)
         plotter.set_background("white")
-        plotter.add_mesh(_surface(pyvista, mesh, axes), scalars=values, rgb=scalars is None, smooth_shading=True)
+        plotter.add_mesh(_surface(pyvista, mesh, axes), scalars=values, rgb=True, smooth_shading=True)
         plotter.add_text(mesh.name, font_size=10, color="black")
     plotter.link_views()
     plotter.view_xy()

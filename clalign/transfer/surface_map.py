@@ -52,13 +52,7 @@ class SurfaceMap:
         return np.asarray(pulled)
 
 
-def surface_map(
-    correspondence: Correspondence,
-    direction: Direction = "to_source",
-    *,
-    target_of_source: NDArray[np.integer] | None = None,
-    source_of_target: NDArray[np.integer] | None = None,
-) -> SurfaceMap:
+def surface_map(correspondence: Correspondence, direction: Direction = "to_source") -> SurfaceMap:
     """Return the map that carries values of the target "to_source", or of the source "to_target".
 
     Parameters
@@ -66,15 +60,10 @@ def surface_map(
     correspondence : the match.
     direction : "to_source" pulls functions on the target back through `target_of_source`; "to_target" pulls functions
         on the source back through `source_of_target`.
-    target_of_source, source_of_target : another map between the same files to use instead (an alternative, a truth).
     """
-    source, target = correspondence.source, correspondence.target
     if direction == "to_source":
-        if target_of_source is not None:
-            return vertex_map(target_of_source, source, target)
         return _finest_map(correspondence)
-    chosen = correspondence.source_of_target if source_of_target is None else source_of_target
-    return vertex_map(chosen, target, source)
+    return vertex_map(correspondence.source_of_target, correspondence.target, correspondence.source)
 
 
 def vertex_map(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> SurfaceMap:
@@ -89,12 +78,12 @@ def vertex_map(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> Surfac
     ResultError
         The map's length or an index does not fit the two files.
     """
-    chosen = _compact(np.asarray(file_map), here, there)
+    chosen = _from_files(np.asarray(file_map), here, there)
     corners = np.repeat(chosen[:, None], 3, axis=1)
     return SurfaceMap(chosen, corners, np.tile([1.0, 0.0, 0.0], (len(chosen), 1)))
 
 
-def _compact(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> NDArray[np.int64]:
+def _from_files(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> NDArray[np.int64]:
     if file_map.shape != (here.file_count,):
         raise ResultError(
             f"the map has shape {file_map.shape}, but {here.name} has {here.file_count} vertices in its file"

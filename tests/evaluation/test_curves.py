@@ -17,7 +17,7 @@ CURVES = {"ours": error_curve(np.linspace(0, 0.05, 100)), "pyFM": error_curve(np
 @pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")])
 def test_the_ending_chooses_the_format(tmp_path: Path, suffix: str, start: bytes) -> None:
     path = tmp_path / f"curve{suffix}"
-    save_error_curves(CURVES, path, unit="diameter", title="humans")
+    save_error_curves(CURVES, path, unit="diameter")
     assert path.read_bytes().startswith(start)
 
 

@@ -109,7 +109,7 @@ def test_page_without_pictures(collection: Collection) -> None:
 
 def test_colours_are_carried_by_the_maps(collection: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
     """Vertices that are the same point get the same colour, also over two maps; a shape without maps is grey."""
-    from clalign.presentation.collection_page import carried
+    from clalign.presentation.collection_page import pictures
 
     painted: list[NDArray[np.float64]] = []
 
@@ -117,7 +117,7 @@ def test_colours_are_carried_by_the_maps(collection: Collection, monkeypatch: py
         painted.append(shapes[0][2])
         return np.zeros((1, 1, 3), dtype=np.uint8)
 
-    monkeypatch.setattr(carried, "draw_row", record)
+    monkeypatch.setattr(pictures, "draw_row", record)
     chain = [row for row in collection.pairs if (row.source, row.target) in (("s0", "s1"), ("s1", "s2"))]
     part = replace(collection, pairs=tuple(chain))
     drawn = list(shape_pictures(part))

@@ -9,7 +9,7 @@ import pytest
 
 from clalign.correspondence import Correspondence
 from clalign.errors import ResultError
-from clalign.transfer.surface_map import surface_map
+from clalign.transfer.surface_map import surface_map, vertex_map
 
 
 def test_sub_vertex_matches_interpolate(small: Correspondence) -> None:
@@ -25,8 +25,8 @@ def test_sub_vertex_matches_interpolate(small: Correspondence) -> None:
 
 def test_map_that_does_not_fit_is_refused(small: Correspondence) -> None:
     with pytest.raises(ResultError, match="643 vertices"):
-        surface_map(small, target_of_source=np.zeros(3, dtype=np.int64))
+        vertex_map(np.zeros(3, dtype=np.int64), small.source, small.target)
     wrong = small.target_of_source.copy()
     wrong[7] = 643
     with pytest.raises(ResultError, match="vertex 7 of first is mapped to 643"):
-        surface_map(small, target_of_source=wrong)
+        vertex_map(wrong, small.source, small.target)

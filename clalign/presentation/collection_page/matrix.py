@@ -86,10 +86,10 @@ def matrix(collection: Collection, names: Sequence[str]) -> str:
 
 def page_link(collection: Collection, row: PairRow) -> str | None:
     """Return the address of a pair's page, relative to the collection, or None where there is none."""
-    room = "pairs" if row.kind == "direct" else "consistent"
-    if not (collection.folder / room / row.source / row.target / PAGE_FILE).is_file():
+    subfolder = "pairs" if row.kind == "direct" else "consistent"
+    if not (collection.folder / subfolder / row.source / row.target / PAGE_FILE).is_file():
         return None
-    return "/".join(quote(part) for part in (room, row.source, row.target, PAGE_FILE))
+    return "/".join(quote(part) for part in (subfolder, row.source, row.target, PAGE_FILE))
 
 
 def _cell(collection: Collection, name: str, other: str, row: PairRow | None) -> str:

@@ -39,15 +39,11 @@ class _Reached:
     way: tuple[str, ...]
 
 
-def shape_pictures(collection: Collection, *, height: int = _HEIGHT) -> Iterator[ShapePicture]:
+def shape_pictures(collection: Collection) -> Iterator[ShapePicture]:
     """Yield the picture of every shape that can be loaded, reference first, then outwards along the maps.
 
     Shapes that no chain of maps joins to the reference are grey. At any time only the shapes at the rim of what is
     reached are in memory.
-
-    Parameters
-    ----------
-    height : of each picture in pixels.
     """
     neighbours = _neighbours(collection)
     meshes = {row.name: row.path for row in collection.shapes if row.ok}
@@ -61,7 +57,7 @@ def shape_pictures(collection: Collection, *, height: int = _HEIGHT) -> Iterator
     seen = {order[0]}
     while rim:
         here = rim.popleft()
-        yield ShapePicture(here.name, _drawn(here, mesh, view, colours, height), here.way)
+        yield ShapePicture(here.name, _drawn(here, mesh, view, colours), here.way)
         for name in neighbours.get(here.name, ()):
             if name not in seen and name in meshes:
                 reached = _reached(collection, here, name, meshes[name])
@@ -75,7 +71,7 @@ def shape_pictures(collection: Collection, *, height: int = _HEIGHT) -> Iterator
             except InputError:
                 continue
             nowhere = _Reached(name, alone, np.full(alone.n_vertices, -1), ())
-            yield ShapePicture(name, _drawn(nowhere, mesh, view, colours, height), ())
+            yield ShapePicture(name, _drawn(nowhere, mesh, view, colours), ())
 
 
 def _neighbours(collection: Collection) -> dict[str, list[str]]:
@@ -100,7 +96,7 @@ def _reached(collection: Collection, here: _Reached, name: str, path: str) -> _R
 
 
 def _drawn(
-    shape: _Reached, reference: Mesh, view: NDArray[np.float64], colours: NDArray[np.float64], height: int
+    shape: _Reached, reference: Mesh, view: NDArray[np.float64], colours: NDArray[np.float64]
 ) -> NDArray[np.uint8]:
     known = shape.reference >= 0
     painted = np.where(known[:, None], colours[shape.reference], UNMATCHED)
@@ -108,4 +104,4 @@ def _drawn(
         rotated = view @ facing_rotation(shape.mesh.vertices[known], reference.vertices[shape.reference[known]])
     else:
         rotated = front_view(shape.mesh.vertices)
-    return draw_row([(shape.mesh.vertices @ rotated.T, shape.mesh.faces, painted)], height)
+    return draw_row([(shape.mesh.vertices @ rotated.T, shape.mesh.faces, painted)], _HEIGHT)
