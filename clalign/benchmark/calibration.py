@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -209,6 +209,6 @@ def _parallel(found: Sequence[Measured], processors: int) -> float:
 
 def table(found: Sequence[Measured], machine: Machine) -> dict[str, Any]:
     """Return the content of `resources.TABLE`."""
-    date = datetime.now(timezone.utc).date().isoformat()
+    date = datetime.now(UTC).date().isoformat()
     rows = [{**asdict(one), "work": {stage: round(value, 2) for stage, value in one.work.items()}} for one in found]
     return {"date": date, "machine": asdict(machine), **fitted(found, machine.processors), "measured": rows}

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from clalign.resources.forecast import available_memory, forecast, require_memory, sizes
 
 from clalign.errors import MemoryBudgetError
 from clalign.options import Options
 from clalign.resources import forecast as forecasts
-from clalign.resources.forecast import available_memory, forecast, require_memory, sizes
 
 GIB, MIB = 2**30, 2**20
 CPU = {"device": "pthread", "kind": "cpu", "memory": 10 * GIB, "largest_buffer": 4 * GIB}
@@ -93,7 +93,7 @@ def test_helpers_of_large_meshes_count_where_they_are_started() -> None:
 @pytest.mark.parametrize("alternatives", [1, 3])
 def test_growing_takes_its_time_for_every_map(alternatives: int) -> None:
     def up_sampling(changes: dict[str, object], count: int = 5000) -> float:
-        return forecast(count, count, Options().replace(changes), processors=1).stages["up-sampling"]
+        return forecast(count, count, Options().replace(changes), processors=1).stages["refinement"]
 
     base = up_sampling({})
     assert up_sampling({"search.alternatives": alternatives}) == pytest.approx((1 + alternatives) * base)
@@ -111,9 +111,9 @@ def test_choosing_the_metric_takes_more_spectra() -> None:
 
 def test_growing_holds_all_functions_on_the_device() -> None:
     size = sizes(5000, 6000, Options())
-    held = forecast(5000, 6000, Options()).device["up-sampling"]
+    held = forecast(5000, 6000, Options()).device["refinement"]
     assert held > 4 * size.both * (size.functions + size.descriptors)
-    assert "up-sampling" not in forecast(5000, 6000, Options().replace({"readout.refine": "none"})).device
+    assert "refinement" not in forecast(5000, 6000, Options().replace({"readout.refine": "none"})).device
 
 
 def test_what_fits_is_let_through_with_its_forecast() -> None:
