@@ -47,7 +47,7 @@ VARIANTS: tuple[dict[str, Any], ...] = (
 """Changes of options whose cost is measured at `VARIED` vertices."""
 WARM_UP = 1000
 """Vertices of a match that builds the programs, which takes memory and time of its own."""
-STAGES = {"read": "start", "device": "start", "closed form": "alignment", "read-out": "alignment"}
+STAGES = {"read": "start", "device": "start", "start of R": "alignment", "read-out": "alignment"}
 """Stage of the forecast that a stage of a match counts to, where it is not one itself."""
 
 Draw = Callable[[Any, Path], None]
@@ -115,8 +115,8 @@ def measured(name: str, meshes: tuple[Mesh, Mesh], changes: dict[str, Any], draw
 def _measured_here(name: str, meshes: tuple[Mesh, Mesh], changes: dict[str, Any], draw: Draw | None) -> Measured:
     from clalign.engine import open_backend
     from clalign.geometry.shape import prepare_pair
+    from clalign.matching.loop import Clock
     from clalign.matching.pair import match_shapes
-    from clalign.matching.stages import Clock
 
     options = Options().replace(changes)
     watch = _StageWork()
@@ -144,7 +144,7 @@ def _measured_here(name: str, meshes: tuple[Mesh, Mesh], changes: dict[str, Any]
 
 
 class _StageWork:
-    """Processor seconds since the process began, of all threads and ended helpers, shared out to the last stage told."""
+    """Processor seconds of all threads and ended helpers since the process began, by the stage that was told last."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
