@@ -12,6 +12,8 @@
  * alignment_values: launch (1); g_y (d, d) one-sided, else NULL; numerator, denominator (1)
  * numpy twin: clalign.engine.reference.Reference.alignment
  */
+#include "sums.cl"
+
 KERNEL void band_rows(const int d, const real factor, __global const int *restrict lower, __global const int *restrict offsets,
                       __global const real *restrict r, __global const real *restrict other, __global real *restrict slope,
                       __global real *restrict partial)

@@ -4,11 +4,11 @@
  * ascending order and only a larger score replaces, and the lanes of a row are compared at the end: ties go to the lowest
  * index. A file that includes this one defines SCORE(product, bias), and `bias0`, `bias1`, `panel` and `group` where it keeps.
  *
- *     best, where    (GROUPS row groups, RT, 2) vectors in private memory
- *     write_best     launch: none; index (rows) int and score (rows) of the rows of one work-item
- *
- * Included by nearest.cl and soft_map_argmax.cl; numpy twin: clalign.engine.reference.best_points.
+ * No kernels of its own: best and where (GROUPS row groups, RT, 2) vectors in private memory, index (rows) int and score
+ * (rows) in global memory; numpy twin: clalign.engine.reference.best_points.
  */
+#include "tile.cl"
+
 #ifndef GROUPS
 #define GROUPS 8 /* row groups of one work-item: their best scores stay in the first cache */
 #endif

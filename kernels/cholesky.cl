@@ -6,6 +6,8 @@
  *            x (m, k). L y = rhs_j^T by rows of L, then L^T x = y, again by rows of L.
  * numpy twin: clalign.engine.reference.Reference.solve_right
  */
+#include "sums.cl"
+
 #ifndef CHOLESKY_ITEMS
 #define CHOLESKY_ITEMS 8 /* work-items of the one group that factorises */
 #endif

@@ -11,6 +11,8 @@
  * band_gather: values from matrix
  * numpy twins: clalign.engine.reference.Reference (same names; row_dots: numpy.sum(a * b, axis=1))
  */
+#include "sums.cl"
+
 #ifndef EB
 #error "EB must be given: the elements of one work-item"
 #endif

@@ -12,6 +12,8 @@
  * gather_gram: launch (row groups): c (m, n) = sum over splits of partial; when `transposed` is set its transpose, c (n, m)
  * numpy twin: clalign.engine.reference.Reference.weighted_gram
  */
+#include "tile.cl"
+
 #ifndef KB
 #define KB 128 /* depth of a block */
 #endif

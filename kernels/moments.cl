@@ -8,6 +8,8 @@
  *          (tiles, n, RT): diag(w) u by pack_tiles; sums (panels, tiles, RT, W) scratch; packed (k (k + 1) / 2, r)
  * numpy twin: clalign.engine.reference.Reference.packed_moments
  */
+#include "panel.cl"
+
 KERNEL void moments(const int n, const int k, const int r, const int panels, const int panels_per_item,
                     __global const real *restrict psi, __global const int *restrict runs,
                     __global const real *restrict right, __global real *restrict sums, __global real *restrict packed)

@@ -21,6 +21,8 @@
  * pad_penalty: launch (panels W); penalty (p) or NULL to padded (panels, W)
  * numpy twin: clalign.engine.reference.Reference.nearest
  */
+#include "best.cl"
+
 #ifndef CHECK_STEPS
 #error "CHECK_STEPS must be given: the steps between two checks"
 #endif

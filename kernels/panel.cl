@@ -3,9 +3,10 @@
  *     total[tile, i, :] (+)= sum over t < count of right[tile, t, i] * made[t, :]
  *
  * made (count, W) in private memory; right (tiles, length, RT) in global memory, packed by pack_tiles; total
- * (tiles, RT, W) in global scratch, where the sums wait between two blocks of features. Included by soft_map.cl, moments.cl
- * and soft_map_streamed.cl; numpy twin: clalign.engine.reference.Reference.
+ * (tiles, RT, W) in global scratch, where the sums wait between two blocks of features; numpy twin: numpy.matmul.
  */
+#include "tile.cl"
+
 #ifndef FB
 #define FB 256 /* features made at once: FB * W reals of private memory */
 #endif

@@ -17,6 +17,8 @@
  * sum_splits:  launch (m n): c = scale * sum over splits of partial (splits, m n) [+ c]
  * numpy twins: clalign.engine.reference.Reference.product, banded_product, weighted_gram
  */
+#include "tile.cl"
+
 #ifndef KB
 #define KB 256 /* depth of a block */
 #endif

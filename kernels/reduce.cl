@@ -5,6 +5,8 @@
  * finish_rows:  launch (rows); out[i] = sum of partial[i, :] (rows, parts)
  * numpy twin: clalign.engine.reference.Reference.total
  */
+#include "sums.cl"
+
 #ifndef RB
 #define RB 512 /* elements of one part */
 #endif

@@ -8,6 +8,8 @@
  *           (tiles, pairs, RT): packed by pack_tiles; factor (n); sums (row panels, tiles, RT, W) scratch; z (n, r)
  * numpy twin: clalign.engine.reference.Reference.soft_map, packed_moments_gradient
  */
+#include "panel.cl"
+
 KERNEL void soft_map(const int n, const int k, const int r, const int panels_per_item, __global const real *restrict ct,
                      __global const real *restrict right, __global const real *restrict factor,
                      __global real *restrict sums, __global real *restrict z)

@@ -6,6 +6,8 @@
  *           index (n) int, score (n)
  * numpy twin: clalign.engine.reference.Reference.soft_map_argmax
  */
+#include "best.cl"
+
 #define SCORE(product, bias) ((bias) * (product) * (product))
 
 KERNEL void soft_map_argmax(const int n, const int n_y, const int k, __global const real *restrict c,

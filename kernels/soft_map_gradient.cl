@@ -10,6 +10,8 @@
  *           latter 1 / s; sums (row panels, k, W) scratch; dc (n, k)
  * numpy twin: clalign.engine.reference.Reference.soft_map_gradient
  */
+#include "tile.cl"
+
 #ifndef PB
 #define PB 96 /* pairs of a block: PB r reals of packed stay in the first or second cache */
 #endif

@@ -10,6 +10,8 @@
  *           k, W) scratch; dc (n, k)
  * numpy twins: clalign.engine.reference.Reference.soft_map_streamed, soft_map_streamed_gradient
  */
+#include "panel.cl"
+
 #define KEEP_Q(i)                                     \
     if (i < valid_rows) {                             \
         made[2 * (t + i)] = p##i;                     \

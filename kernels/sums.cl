@@ -4,8 +4,7 @@
  *     dot_rows(x, y, count) = sum over t < count of x[t] y[t]
  *     compensated_sum(count, values) = sum over i < count of values[i] (Kahan)
  *
- * No kernels of their own: x, y, values (count) in global memory, one work-item calls. Included by elementwise.cl, reduce.cl,
- * cholesky.cl and alignment.cl; numpy twin: numpy.sum.
+ * No kernels of their own: x, y, values (count) in global memory, one work-item calls; numpy twin: numpy.sum.
  */
 #if PRECISION == 64
 #define LANES(count) double##count

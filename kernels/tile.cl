@@ -5,7 +5,7 @@
  * with panel rows of W contiguous reals and x read one scalar at a time (a broadcast). 6 x 2 vectors fill the 16 registers
  * of AVX2 without spilling; 5 fits a matrix of 50 or 100 columns without waste. The accumulators are named variables
  * p0, q0, p1, ... because a private array would not stay in registers in every compiler.
- * Included by the other files; numpy twin of a tile: clalign.engine.reference.Reference.product.
+ * No kernels of its own; numpy twin: numpy.matmul.
  */
 #ifndef RT
 #define RT 6 /* rows of a tile: 4 to 10 */

@@ -20,7 +20,7 @@ class MomentsSoftMap:
 
     Attributes
     ----------
-    packed : (k (k + 1) / 2, r) on the backend, see `backend.SoftMaps`.
+    packed : (k (k + 1) / 2, r) on the backend, see `clalign.engine.reference.Reference`.
     normal : (k, k) on the backend, or None for the identity.
     """
 

@@ -71,11 +71,6 @@ class DeviceArray:
         """Number of elements."""
         return prod(self.shape)
 
-    @property
-    def ndim(self) -> int:
-        """Number of axes."""
-        return len(self.shape)
-
     def reshape(self, *shape: int | Sequence[int]) -> DeviceArray:
         """Return the same memory with another shape; one length may be -1."""
         wanted = tuple(shape[0]) if len(shape) == 1 and isinstance(shape[0], Sequence) else shape

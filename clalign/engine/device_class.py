@@ -41,7 +41,7 @@ class DeviceClass:
 
 CPU = DeviceClass(
     name="cpu",
-    # PoCL runs the items of a group as one loop in one thread; alone, an item keeps its accumulators in registers.
+    # PoCL runs a work-group in one thread, one item after the other: a single one may own as much.
     work_group=1,
     vector=32,
     # 6 x 2 accumulators, two vectors of the panel and a scalar: the 16 registers of AVX2.

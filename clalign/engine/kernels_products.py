@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,23 +148,23 @@ class KernelProducts(KernelArrays):
         if w is not None:
             require_shapes("weighted_gram", w=(w.shape, (rows,)))
         result = self._result("weighted_gram", (m, n), out)
-        device_class = self.device.constants
+        constants = self.device.constants
         if m == n == 1 and w is None:
             self._dot(a, b, result)
             return result
-        if device_class.packs_gram:
+        if constants.packs_gram:
             self._gram(a, b, w, result)
             return result
         # Cut along the rows where the result has too few tiles to keep the device busy.
         tiles = ceil_div(m, self._tile) * ceil_div(n, self.device.panel_width)
-        wanted = 8 * self.device.facts.units * device_class.work_group
+        wanted = 8 * self.device.facts.units * constants.work_group
         splits, _ = equal_parts(rows, min(ceil_div(wanted, tiles), ceil_div(rows, DEPTH_SPLIT)))
         if splits <= 1:
             self._product(a, b, result, m, n, rows, True, False, weight=w)
             return result
         partial = self.device.scratch("splits", splits * m * n)
         self._product(a, b, partial, m, n, rows, True, False, weight=w, splits=splits)
-        kernel = self.device.kernel("product", "sum_splits", RT=self._tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
+        kernel = self._product_kernel("sum_splits", self._tile)
         self.device.launch(kernel, m * n, m * n, splits, 1.0, 0, partial, result)
         return result
 
@@ -223,7 +224,7 @@ class KernelProducts(KernelArrays):
             a = self._pack_tiles("left", a, m, depth, self._tile, weight)
             a_group, a_row, a_step = depth * self._tile, 1, self._tile
         groups, panels = self._product_tiles(group_count, panel_count, splits)
-        kernel = self.device.kernel("product", "product", RT=self._tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
+        kernel = self._product_kernel("product", self._tile)
         size = (ceil_div(group_count, groups), ceil_div(panel_count, panels), splits)
         split_depth = ceil_div(depth, splits)
         sizes = (m, n, depth, groups, panels, split_depth, scale, int(accumulate))
@@ -274,13 +275,16 @@ class KernelProducts(KernelArrays):
         # Items of equal width: a narrow last one would leave its unit idle.
         return groups, ceil_div(panel_count, ceil_div(panel_count, panels))
 
+    def _product_kernel(self, function: str, tile: int) -> Any:
+        return self.device.kernel("product", function, RT=tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
+
     def _pack_panels(
         self, slot: str, b: DeviceArray, n: int, depth: int, row_stride: int, column_stride: int
     ) -> DeviceArray:
         """Queue packing of b (depth, n), given by its strides, into (panels, depth, W) scratch."""
         panels = ceil_div(n, self.device.panel_width)
         packed = self.device.scratch(f"panels.{slot}", panels * depth * self.device.panel_width)
-        kernel = self.device.kernel("product", "pack_panels", RT=self._tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
+        kernel = self._product_kernel("pack_panels", self._tile)
         size = (panels, ceil_div(depth, DEPTH_PACKED))
         self.device.launch(kernel, size, n, depth, b, row_stride, column_stride, packed)
         return packed
@@ -291,7 +295,7 @@ class KernelProducts(KernelArrays):
         """Queue packing of diag(weight) b (depth, n) into (tiles, depth, tile) scratch."""
         tiles = ceil_div(n, tile)
         packed = self.device.scratch(f"tiles.{slot}", tiles * depth * tile)
-        kernel = self.device.kernel("product", "pack_tiles", RT=tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
+        kernel = self._product_kernel("pack_tiles", tile)
         size = (tiles, ceil_div(depth, DEPTH_PACKED))
         self.device.launch(kernel, size, n, depth, b, weight, packed)
         return packed

@@ -11,24 +11,10 @@ from pathlib import Path
 
 from clalign.errors import DeviceError
 
-PRELUDE = ("prelude.cl",)
-PARTS: Mapping[str, tuple[str, ...]] = {
-    "product": ("tile.cl", "product.cl"),
-    "gram": ("tile.cl", "gram.cl"),
-    "nearest": ("tile.cl", "best.cl", "nearest.cl"),
-    "soft_map_argmax": ("tile.cl", "best.cl", "soft_map_argmax.cl"),
-    "soft_map": ("tile.cl", "panel.cl", "soft_map.cl"),
-    "moments": ("tile.cl", "panel.cl", "moments.cl"),
-    "soft_map_gradient": ("tile.cl", "soft_map_gradient.cl"),
-    "soft_map_streamed": ("tile.cl", "panel.cl", "soft_map_streamed.cl"),
-    "cholesky": ("sums.cl", "cholesky.cl"),
-    "elementwise": ("sums.cl", "elementwise.cl"),
-    "reduce": ("sums.cl", "reduce.cl"),
-    "alignment": ("sums.cl", "alignment.cl"),
-    "candidates": ("candidates.cl",),
-}
-"""Program name to the files that follow the prelude in it."""
+PRELUDE = "prelude.cl"
+"""The file that comes before every program."""
 
+INCLUDE = re.compile(r'^#include "(\w+\.cl)"$', re.MULTILINE)
 SIGNATURE = re.compile(r"KERNEL(?:_OF\(\w+\))?\s+void\s+(\w+)\s*\(([^)]*)\)")
 
 
@@ -57,21 +43,27 @@ def kernel_folder() -> Path:
     package = Path(__file__).resolve().parents[1]
     places = (package / "kernels", package.parent / "kernels")
     for place in places:
-        if (place / PRELUDE[0]).is_file():
+        if (place / PRELUDE).is_file():
             return place
     looked = " and ".join(str(place) for place in places)
     raise DeviceError(f"the OpenCL kernels are missing (looked in {looked}); reinstall clalign")
 
 
+@cache
+def program_names() -> tuple[str, ...]:
+    """Return the programs: the files that have kernels, without ``.cl``; the others are included by them."""
+    return tuple(sorted(file.stem for file in kernel_folder().glob("*.cl") if SIGNATURE.search(_text(file.name))))
+
+
 def kernel_source(name: str, defines: Mapping[str, str | int]) -> Source:
-    """Put a program together.
+    """Put a program together: the prelude, and its file with what that includes.
 
     The text begins with a hash of itself and of the options: PoCL's cache may otherwise return a program that was
     built with other ``-D`` values.
 
     Parameters
     ----------
-    name : a key of `PARTS`.
+    name : one of `program_names`.
     defines : ``-D`` names and values.
 
     Raises
@@ -79,12 +71,21 @@ def kernel_source(name: str, defines: Mapping[str, str | int]) -> Source:
     DeviceError
         Unknown program.
     """
-    if name not in PARTS:
-        raise DeviceError(f"unknown kernel program {name!r}; there are {', '.join(PARTS)}")
-    body = "\n".join((kernel_folder() / part).read_text(encoding="utf-8") for part in PRELUDE + PARTS[name])
+    if name not in program_names():
+        raise DeviceError(f"unknown kernel program {name!r}; there are {', '.join(program_names())}")
+    body = f"{_text(PRELUDE)}\n{_expanded(name + '.cl')}"
     options = ("-cl-mad-enable", *(f"-D{key}={value}" for key, value in sorted(defines.items())))
     digest = hashlib.sha256("\0".join((body, *options)).encode()).hexdigest()
     return Source(name, f"/* {digest} */\n{body}", options, _signatures(body))
+
+
+def _text(file: str) -> str:
+    return (kernel_folder() / file).read_text(encoding="utf-8")
+
+
+def _expanded(file: str) -> str:
+    """Return the text of a file with what it includes in place of the directives."""
+    return INCLUDE.sub(lambda found: _expanded(found[1]), _text(file))
 
 
 def _signatures(text: str) -> dict[str, tuple[str, ...]]:

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from clalign.engine import programs
-from clalign.engine.programs import PARTS, kernel_folder, kernel_source
+from clalign.engine.programs import INCLUDE, kernel_folder, kernel_source, program_names
+from clalign.engine.reference import Reference
+from clalign.engine.reference_arrays import ReferenceArrays
 from clalign.errors import DeviceError
 
 FILES = sorted(kernel_folder().glob("*.cl"))
@@ -30,9 +32,25 @@ def test_signatures_are_read_from_the_source():
     assert "factorise" in kernel_source("cholesky", {}).signatures
 
 
-def test_every_file_belongs_to_a_program():
-    used = {part for parts in PARTS.values() for part in parts} | set(programs.PRELUDE)
-    assert used == {file.name for file in FILES}
+def test_every_file_is_a_program_or_part_of_one():
+    included = {part for file in FILES for part in INCLUDE.findall(file.read_text(encoding="utf-8"))}
+    assert included | {programs.PRELUDE} | {f"{name}.cl" for name in program_names()} == {file.name for file in FILES}
+    assert not included & {f"{name}.cl" for name in program_names()}
+    for name in program_names():
+        assert "#include" not in kernel_source(name, {}).text
+
+
+def test_heads_and_the_page_of_the_kernels_name_files_and_twins_that_exist():
+    page = (kernel_folder() / "README.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+\.cl)` \|.*\| (.*) \|$", page, flags=re.M))
+    assert set(rows) == {file.name for file in FILES}
+    listed = {twin for row in rows.values() for twin in re.findall(r"`(\w+)`", row)}
+    operations = {name for name in vars(Reference) | vars(ReferenceArrays) if not name.startswith("_")}
+    assert listed == operations - {"name", "describe", "array", "zeros", "numpy", "distortion"}
+    for file in FILES:
+        head = file.read_text(encoding="utf-8").split("*/")[0]
+        for named in re.findall(r"twins?: clalign\.engine\.reference\.Reference\.([\w, ]+)", head):
+            assert set(named.split(", ")) <= set(re.findall(r"`(\w+)`", rows[file.name])), file.name
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
