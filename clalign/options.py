@@ -72,7 +72,7 @@ class SpectrumOptions:
     """Eigenfunctions of both Laplace–Beltrami operators.
 
     basis : number k of LBO eigenfunctions in the functional map C.
-    refinement : number of LBO eigenfunctions computed in all, for spectral up-sampling (at least `basis`). A search
+    refinement : number of LBO eigenfunctions computed in all, for ZoomOut (at least `basis`). A search
         needs three.
     descriptors : number d of scale-invariant eigenfunctions that R aligns.
     metric : conformal factor of the scale-invariant operator: "power" |K|^xi (Eq. 29), "regularized"

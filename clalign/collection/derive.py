@@ -23,7 +23,7 @@ from clalign.refinement.zoomout import BoundSpectra, two_way_steps
 def derived_correspondence(
     source: Shape, target: Shape, functional: NDArray[np.float64], backend: Backend, options: Options
 ) -> Correspondence:
-    """Return the correspondence that a functional map leads to: up-sampled, with R and the read-out in closed form.
+    """Return the correspondence that a functional map leads to: refined, with R and the read-out by least squares.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 A candidate is a functional map C (k, k) from functions on X to functions on Y, or its point map: for each sample of Y a
 sample of X. A batch keeps candidates in the last-but-one axis, C as (k, B, k) and point maps as (m, B), so that one
-spectral up-sampling step of all candidates is one product, one nearest-neighbour search and one more product.
+ZoomOut step of all candidates is one product, one nearest-neighbour search and one more product.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ def test_interrupt_before_the_first_map_leaves_nothing(
 
 
 @pytest.mark.parametrize(
-    ("stage", "delay"), [("up-sampling", 0.0), ("closed form", 0.0), ("alignment", 0.3), ("read-out", 0.0)]
+    ("stage", "delay"), [("refinement", 0.0), ("start of R", 0.0), ("alignment", 0.3), ("read-out", 0.0)]
 )
 def test_interrupt_from_the_first_map_on_keeps_the_best(
     tmp_path: Path, bumpy_files: tuple[Path, ...], stage: str, delay: float

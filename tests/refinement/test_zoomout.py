@@ -1,4 +1,4 @@
-"""Up-sampling and closed-form steps, started from maps that are right but coarse, or disturbed."""
+"""ZoomOut schedules and two-way steps, started from maps that are right but coarse, or disturbed."""
 
 from __future__ import annotations
 
