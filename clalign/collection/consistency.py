@@ -9,17 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.collection.network import MapEdges, Network, cycle_errors, cycle_weights, polar_factors, synchronise
+from clalign.collection.network import MapEdges, Network, cycle_errors, cycle_weights, synchronise
 from clalign.collection.rows import PairRow
 from clalign.collection.store import Store
 from clalign.correspondence import finite_or_none
-
-WRONG = 0.5
-"""A map that deviates from the network's by more than this is a different one: a flip of left and right has about 1."""
-
-WORSE = 1.5
-"""A repaired map that distorts distances by this much more than the matched one is not taken."""
-
+from clalign.maps.functional_maps import polar_factor
+from clalign.rules import CollectionRules
 
 NETWORK_BYTES = 4e9
 """Maps of the network in memory at most; a larger set is joined over fewer functions."""
@@ -43,7 +38,9 @@ class NetworkCheck:
     digest: str
 
 
-def checked_by_network(store: Store, names: Sequence[str], rows: Sequence[PairRow]) -> NetworkCheck:
+def checked_by_network(
+    store: Store, names: Sequence[str], rows: Sequence[PairRow], rules: CollectionRules
+) -> NetworkCheck:
     """Synchronise the maps of all direct rows that are "ok", and find those that contradict the rest.
 
     Parameters
@@ -63,12 +60,12 @@ def checked_by_network(store: Store, names: Sequence[str], rows: Sequence[PairRo
     edges = MapEdges(
         len(names),
         np.array([(number[rows[i].source], number[rows[i].target]) for i in used], dtype=np.int64).reshape(-1, 2),
-        polar_factors(np.stack([functional[:size, :size] for functional in maps])) if maps else np.ones((0, 1, 1)),
+        polar_factor(np.stack([functional[:size, :size] for functional in maps])) if maps else np.ones((0, 1, 1)),
         np.ones(len(used)),
     )
     cycles = cycle_errors(edges)
     confidence = np.array([rows[index].confidence or 0.0 for index in used])
-    network = synchronise(replace(edges, weights=cycle_weights(confidence, cycles)))
+    network = synchronise(replace(edges, weights=cycle_weights(confidence, cycles, rules)), rules)
     checked_rows = list(rows)
     for place, index in enumerate(used):
         checked_rows[index] = replace(
@@ -76,7 +73,7 @@ def checked_by_network(store: Store, names: Sequence[str], rows: Sequence[PairRo
             cycle_error=finite_or_none(cycles[place]),
             network_error=finite_or_none(network.residuals[place]),
         )
-    contradicting = tuple(index for place, index in enumerate(used) if network.residuals[place] > WRONG)
+    contradicting = tuple(index for place, index in enumerate(used) if network.residuals[place] > rules.wrong)
     return NetworkCheck(network, tuple(checked_rows), contradicting, _digest(network.frames))
 
 

@@ -13,11 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDS = 12
-"""Times that the pairs are weighed anew by how far they are from the network's own maps."""
-
-SMALLEST_SPREAD = 0.25
-"""Deviations below this are the ordinary difference of two good maps (0.2 between different bodies), never doubted."""
+from clalign.maps.functional_maps import polar_factor
+from clalign.rules import CollectionRules
 
 _ITERATIONS = 2000
 _TOLERANCE = 1e-10
@@ -87,26 +84,25 @@ def deviation(difference: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.norm(difference, axis=(-2, -1)) / np.sqrt(2.0 * size))
 
 
-def synchronise(edges: MapEdges, *, rounds: int = ROUNDS) -> Network:
+def synchronise(edges: MapEdges, rules: CollectionRules) -> Network:
     """Find the rotations that explain the maps best, without being led astray by wrong ones.
 
-    Every round solves the spectral problem and weighs each map by its deviation r from the result, by 1 / (1 + r²/s²)²
-    (Geman and McClure) with s the median deviation, so that a map that contradicts the others soon counts for nothing.
+    Every reweighting solves the spectral problem and weighs each map by its deviation r from the result, by
+    1 / (1 + r²/s²)² (Geman and McClure) with s the median deviation, so that a map that contradicts the others soon
+    counts for nothing.
 
     Parameters
     ----------
     edges : the given maps.
-    rounds : how often maps are weighed anew; 0 trusts the given weights.
+    rules : `reweightings` 0 trusts the given weights.
     """
     component = components(edges.count, edges.pairs)
     weights = edges.weights
     frames = _spectral_frames(edges)
     residuals = _residuals(edges, frames)
-    for _ in range(rounds):
-        spread = max(float(np.median(residuals)) if residuals.size else 0.0, SMALLEST_SPREAD)
-        # A floor keeps a shape in the network that has none but doubtful maps.
-        worth = np.maximum((1.0 + (residuals / spread) ** 2) ** -2.0, 1e-6)
-        weights = edges.weights * worth
+    for _ in range(rules.reweightings):
+        spread = max(float(np.median(residuals)) if residuals.size else 0.0, rules.smallest_spread)
+        weights = edges.weights * np.maximum((1.0 + (residuals / spread) ** 2) ** -2.0, rules.least_weight)
         frames = _spectral_frames(replace(edges, weights=weights))
         before, residuals = residuals, _residuals(edges, frames)
         if np.abs(residuals - before).max(initial=0.0) < 1e-6:
@@ -148,7 +144,9 @@ def cycle_errors(edges: MapEdges, *, most: int = 24, seed: int = 0) -> NDArray[n
     return errors
 
 
-def cycle_weights(confidence: NDArray[np.float64], errors: NDArray[np.float64]) -> NDArray[np.float64]:
+def cycle_weights(
+    confidence: NDArray[np.float64], errors: NDArray[np.float64], rules: CollectionRules
+) -> NDArray[np.float64]:
     """Return what each map is worth before the network is known: its confidence, less where its cycles do not close.
 
     Parameters
@@ -157,9 +155,10 @@ def cycle_weights(confidence: NDArray[np.float64], errors: NDArray[np.float64]) 
     errors : (E,) of `cycle_errors`; a pair in no cycle keeps its confidence.
     """
     known = np.isfinite(errors)
-    spread = max(float(np.quantile(errors[known], 0.25)) if known.any() else 0.0, SMALLEST_SPREAD)
+    spread = max(float(np.quantile(errors[known], 0.25)) if known.any() else 0.0, rules.smallest_spread)
     doubt = np.where(known, np.nan_to_num(errors) / spread, 0.0)
-    return np.asarray(np.clip(confidence, 0.05, 1.0) * np.maximum((1.0 + doubt**2) ** -2.0, 1e-6))
+    trusted = np.clip(confidence, rules.least_confidence, 1.0)
+    return np.asarray(trusted * np.maximum((1.0 + doubt**2) ** -2.0, rules.least_weight))
 
 
 def components(count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -225,13 +224,7 @@ def _connected_frames(edges: MapEdges) -> NDArray[np.float64]:
         basis = new
         if change < _TOLERANCE * np.sqrt(edges.size):
             break
-    return polar_factors(basis.reshape(shape))
-
-
-def polar_factors(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the orthogonal matrices nearest to matrices (..., K, K)."""
-    left, _, right = np.linalg.svd(matrices)
-    return np.asarray(left @ right)
+    return polar_factor(basis.reshape(shape))
 
 
 def _tree_frames(edges: MapEdges) -> NDArray[np.float64]:

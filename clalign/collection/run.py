@@ -22,7 +22,7 @@ from clalign.collection.choice import (
     tree_pairs,
 )
 from clalign.collection.cluster import Task, open_client, outcomes, worker_count
-from clalign.collection.consistency import WORSE, NetworkCheck, checked_by_network, missing_pairs
+from clalign.collection.consistency import NetworkCheck, checked_by_network, missing_pairs
 from clalign.collection.forecast import check_disk, forecast, workers_that_fit
 from clalign.collection.members import Member, read_members
 from clalign.collection.result import Collection
@@ -236,7 +236,9 @@ class Job:
         """Synchronise the network, repair what contradicts it, and derive the other pairs if that is asked for."""
         names = tuple(member.name for member in self.members)
         self.report("network", 0.0, "")
-        check = checked_by_network(self.store, names, list(self.direct.values()))
+        check = checked_by_network(
+            self.store, names, list(self.direct.values()), self.settings.options.rules.collection
+        )
         self.store.write_network(names, check.network)
         self.report("network", 1.0, f"{len(check.wrong)} maps contradict the others")
         self.final = {(row.source, row.target): row for row in check.rows}
@@ -275,7 +277,11 @@ class Job:
         row = self._pair_row(task, value)
         if distortion is None or before is None:
             return replace(row, kind="derived")
-        if not row.ok or row.distortion is None or row.distortion > WORSE * distortion:
+        if (
+            not row.ok
+            or row.distortion is None
+            or row.distortion > self.settings.options.rules.collection.worse * distortion
+        ):
             return before
         return merged(before, row)
 

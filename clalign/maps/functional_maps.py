@@ -84,17 +84,17 @@ def two_way_least_squares(
     return functional_map(matches, np.eye(target.shape[1]), backend=backend)
 
 
-def polar_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the orthogonal matrix nearest to `matrix` (k, k): U Vᵀ of its singular value decomposition U Σ Vᵀ.
+def polar_factor(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the orthogonal matrices nearest to matrices (…, k, k): U Vᵀ of their decompositions U Σ Vᵀ.
 
-    From the eigenvectors of CᵀC, which cost a third of the decomposition; from the decomposition itself where the
-    matrix is so nearly singular that its square would lose what the factor needs.
+    From the eigenvectors of CᵀC, which cost a third of the decomposition; from the decomposition itself where a matrix
+    is so nearly singular that its square would lose what the factor needs.
     """
-    squares, right = np.linalg.eigh(matrix.T @ matrix)
-    if squares[0] <= 1e-4 * squares[-1]:
-        left, _, transposed = np.linalg.svd(matrix, full_matrices=False)
-        return left @ transposed
-    return matrix @ ((right / np.sqrt(squares)) @ right.T)
+    squares, right = np.linalg.eigh(np.swapaxes(matrices, -1, -2) @ matrices)
+    if np.any(squares[..., 0] <= 1e-4 * squares[..., -1]):
+        left, _, transposed = np.linalg.svd(matrices, full_matrices=False)
+        return np.asarray(left @ transposed)
+    return np.asarray(matrices @ ((right / np.sqrt(squares)[..., None, :]) @ np.swapaxes(right, -1, -2)))
 
 
 def singular_value_weighting(functional: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -186,8 +186,8 @@ class SamplePair:
         return Batch(np.ascontiguousarray(values.transpose(1, 0, 2)), self.backend.numpy(index))
 
 
-def polar_factors(functional: NDArray[np.float32], steps: int = 8) -> NDArray[np.float32]:
-    """Bring functional maps (B, k, k) close to orthogonal by Newton–Schulz steps, C ← C (3 I − CᵀC) / 2.
+def newton_schulz(functional: NDArray[np.float32], steps: int = 8) -> NDArray[np.float32]:
+    """Bring functional maps (B, k, k) close to their polar factors by Newton–Schulz steps, C ← C (3 I − CᵀC) / 2.
 
     Singular values above about 0.05 end at 1; directions that a map does not carry at all stay small, instead of being
     filled in at random as the exact polar factor would.
@@ -216,7 +216,7 @@ def up_sample(pair: SamplePair, functional: NDArray[np.floating], levels: Iterab
     """
 
     def read(batch: Batch, _: Any, level: Level) -> Any:
-        factors = polar_factors(batch.functional.astype(np.float32, copy=False))
+        factors = newton_schulz(batch.functional.astype(np.float32, copy=False))
         return pair.point_maps(pair.upload(factors), level)
 
     def fit(index: Any, level: Level) -> Batch:

@@ -12,16 +12,20 @@ from clalign.collection.network import (
     cycle_errors,
     cycle_weights,
     deviation,
-    polar_factors,
     spanning_tree,
     synchronise,
 )
+from clalign.maps.functional_maps import polar_factor
+from clalign.rules import CollectionRules
+
+RULES = CollectionRules()
+TRUSTING = CollectionRules(reweightings=0)
 
 SHAPES, SIZE = 12, 8
 
 
 def orthogonal(rng: np.random.Generator, count: int, size: int = SIZE) -> NDArray[np.float64]:
-    return polar_factors(rng.normal(size=(count, size, size)))
+    return polar_factor(rng.normal(size=(count, size, size)))
 
 
 def all_pairs(count: int) -> NDArray[np.int64]:
@@ -39,7 +43,7 @@ def changed(edges: MapEdges, maps: NDArray[np.float64]) -> MapEdges:
 
 def worst(edges: MapEdges, frames: NDArray[np.float64]) -> float:
     """Largest deviation over all pairs of shapes of the network's maps from those of the true frames."""
-    found = synchronise(edges)
+    found = synchronise(edges, RULES)
     everything = all_pairs(len(frames))
     got = np.stack([found.functional(i, j) for i, j in everything.tolist()])
     return float(deviation(got - network(frames, everything).maps).max())
@@ -66,7 +70,7 @@ def test_wrong_maps_are_outvoted_and_found(share: float, rng: np.random.Generato
     maps[wrong] = orthogonal(rng, wrong.size)
     edges = changed(true, maps)
     assert worst(edges, frames) < 0.02
-    found = synchronise(edges)
+    found = synchronise(edges, RULES)
     assert set(np.flatnonzero(found.residuals > 0.5)) == set(wrong.tolist())
 
 
@@ -80,24 +84,26 @@ def test_flips_of_a_symmetric_body_are_found_though_they_agree_with_each_other(r
     for edge in wrong:
         i, j = true.pairs[edge]
         maps[edge] = frames[j] @ flip @ frames[i].T
-    noisy = polar_factors(maps + 0.05 * rng.normal(size=maps.shape))
+    noisy = polar_factor(maps + 0.05 * rng.normal(size=maps.shape))
     edges = changed(true, noisy)
-    found = synchronise(MapEdges(SHAPES, edges.pairs, noisy, cycle_weights(np.ones(len(noisy)), cycle_errors(edges))))
+    found = synchronise(
+        MapEdges(SHAPES, edges.pairs, noisy, cycle_weights(np.ones(len(noisy)), cycle_errors(edges), RULES)), RULES
+    )
     assert set(np.flatnonzero(found.residuals > 0.5)) == set(wrong.tolist())
 
 
 def test_averaging_over_cycles_lessens_noise(rng: np.random.Generator) -> None:
     frames = orthogonal(rng, SHAPES)
     true = network(frames, all_pairs(SHAPES))
-    noisy = polar_factors(true.maps + 0.1 * rng.normal(size=true.maps.shape))
-    found = synchronise(changed(true, noisy))
+    noisy = polar_factor(true.maps + 0.1 * rng.normal(size=true.maps.shape))
+    found = synchronise(changed(true, noisy), RULES)
     got = np.stack([found.functional(i, j) for i, j in true.pairs.tolist()])
     assert deviation(got - true.maps).mean() < 0.6 * deviation(noisy - true.maps).mean()
 
 
 def test_network_maps_close_every_cycle_exactly(rng: np.random.Generator) -> None:
     maps = orthogonal(rng, len(all_pairs(5)))
-    found = synchronise(MapEdges(5, all_pairs(5), maps, np.ones(len(maps))))
+    found = synchronise(MapEdges(5, all_pairs(5), maps, np.ones(len(maps))), RULES)
     around = found.functional(1, 4) @ found.functional(3, 1) @ found.functional(4, 3)
     np.testing.assert_allclose(around, np.eye(SIZE), atol=1e-12)
 
@@ -106,7 +112,7 @@ def test_subspace_iteration_finds_the_leading_eigenvectors(rng: np.random.Genera
     """Against numpy's eigenvectors of the dense block matrix, on maps that no frames explain exactly."""
     pairs = all_pairs(6)
     frames = orthogonal(rng, 6, 4)
-    maps = polar_factors(network(frames, pairs).maps + 0.2 * rng.normal(size=(len(pairs), 4, 4)))
+    maps = polar_factor(network(frames, pairs).maps + 0.2 * rng.normal(size=(len(pairs), 4, 4)))
     weights = rng.uniform(0.2, 1.0, len(pairs))
     degree = np.zeros(6)
     block = np.zeros((6, 4, 6, 4))
@@ -115,8 +121,8 @@ def test_subspace_iteration_finds_the_leading_eigenvectors(rng: np.random.Genera
         block[j, :, i], block[i, :, j] = weight * functional, weight * functional.T
     block /= np.sqrt(degree)[:, None, None, None] * np.sqrt(degree)[None, None, :, None]
     leading = np.linalg.eigh(block.reshape(24, 24))[1][:, -4:].reshape(6, 4, 4)
-    expected = polar_factors(leading)
-    found = synchronise(MapEdges(6, pairs, maps, weights), rounds=0)
+    expected = polar_factor(leading)
+    found = synchronise(MapEdges(6, pairs, maps, weights), TRUSTING)
     for i, j in pairs.tolist():
         np.testing.assert_allclose(found.functional(i, j), expected[j] @ expected[i].T, atol=1e-7)
 
@@ -136,7 +142,7 @@ def test_cycle_errors_point_at_the_wrong_map(rng: np.random.Generator) -> None:
 
 def test_shapes_that_no_pair_joins_have_no_map(rng: np.random.Generator) -> None:
     frames = orthogonal(rng, 5)
-    found = synchronise(network(frames, np.array([(0, 1), (3, 4)])))
+    found = synchronise(network(frames, np.array([(0, 1), (3, 4)])), RULES)
     assert found.component.tolist() == [0, 0, 2, 3, 3]
     np.testing.assert_allclose(found.functional(3, 4), frames[4] @ frames[3].T, atol=1e-9)
     with pytest.raises(ValueError, match="no chain of pairs joins the shapes 0 and 3"):
@@ -146,12 +152,12 @@ def test_shapes_that_no_pair_joins_have_no_map(rng: np.random.Generator) -> None
 def test_groups_do_not_disturb_each_other(rng: np.random.Generator) -> None:
     """The maps of a noisy group are the same whether or not there is a perfect group beside it."""
     pairs = all_pairs(4)
-    noisy = polar_factors(network(orthogonal(rng, 4), pairs).maps + 0.3 * rng.normal(size=(6, SIZE, SIZE)))
-    alone = synchronise(MapEdges(4, pairs, noisy, np.ones(6)))
+    noisy = polar_factor(network(orthogonal(rng, 4), pairs).maps + 0.3 * rng.normal(size=(6, SIZE, SIZE)))
+    alone = synchronise(MapEdges(4, pairs, noisy, np.ones(6)), RULES)
     perfect = network(orthogonal(rng, 4), pairs).maps
     both = MapEdges(8, np.concatenate([pairs, pairs + 4]), np.concatenate([noisy, perfect]), np.ones(12))
-    together = synchronise(both, rounds=0)
-    expected = synchronise(MapEdges(4, pairs, noisy, np.ones(6)), rounds=0)
+    together = synchronise(both, TRUSTING)
+    expected = synchronise(MapEdges(4, pairs, noisy, np.ones(6)), TRUSTING)
     assert alone.residuals.max() > 0.1
     for i, j in pairs.tolist():
         np.testing.assert_allclose(together.functional(i, j), expected.functional(i, j), atol=1e-8)

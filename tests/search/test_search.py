@@ -23,7 +23,7 @@ from clalign.search.batch import (
     SamplePair,
     distortions,
     map_distances,
-    polar_factors,
+    newton_schulz,
     up_sample,
     without_duplicates,
 )
@@ -102,7 +102,7 @@ def test_newton_schulz_gives_the_polar_factor(rng: np.random.Generator) -> None:
     maps = np.stack([np.linalg.qr(rng.normal(size=(12, 12)))[0] for _ in range(6)])
     disturbed = (maps + 0.05 * rng.normal(size=maps.shape)).astype(np.float32)
     expected = np.stack([scipy.linalg.polar(m.astype(np.float64))[0] for m in disturbed])
-    np.testing.assert_allclose(polar_factors(disturbed), expected, atol=1e-4)
+    np.testing.assert_allclose(newton_schulz(disturbed), expected, atol=1e-4)
 
 
 def test_pairs_of_functions_have_two_columns_also_where_there_are_none() -> None:
