@@ -25,7 +25,7 @@ TABLE = Path(__file__).resolve().parent / "data" / "forecast.json"
 """Coefficients, and the measurements that they were fitted to."""
 
 HOST, DEVICE = "host", "device"
-STAGES = ("start", "prepare", "search", "up-sampling", "metric", "alignment", "result")
+STAGES = ("start", "prepare", "search", "refinement", "metric", "alignment", "result")
 """Of the forecast: "start" has what comes before the meshes are prepared, "alignment" all between the map that is
 refined and the result, which "result" draws and writes."""
 SERIAL = ("start", "result")
@@ -88,7 +88,7 @@ def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
         "start": {"fixed": 1.0, "vertices": both},
         "prepare": {"functions": both * (functions + descriptors), "distances": sampled, "factors": both**1.5},
         "search": {"fixed": searched, "samples": searched * samples},
-        "up-sampling": {"fixed": maps, "functions": maps * both * (functions + descriptors)},
+        "refinement": {"fixed": maps, "functions": maps * both * (functions + descriptors)},
         "metric": {"functions": both * descriptors * (spectrum.metric == "auto")},
         "alignment": {"losses": evaluations * losses * basis**2.0, "rotation": evaluations * descriptors**2.0,
                       "outer": compared * alignment.outer_iterations, "maps": compared * (1 + options.readout.steps)},

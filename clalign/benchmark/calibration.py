@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,10 @@ from clalign.benchmark.generated import generated_pair
 from clalign.benchmark.memory import PeakMemory
 from clalign.benchmark.performance import Machine
 from clalign.data import bundled_pair
+from clalign.engine import open_backend
+from clalign.geometry.shape import prepare_pair
+from clalign.matching.loop import Clock
+from clalign.matching.pair import match_shapes
 from clalign.mesh.mesh import Mesh, load_mesh
 from clalign.options import Options
 
@@ -47,7 +51,7 @@ VARIANTS: tuple[dict[str, Any], ...] = (
 """Changes of options whose cost is measured at `VARIED` vertices."""
 WARM_UP = 1000
 """Vertices of a match that builds the programs, which takes memory and time of its own."""
-STAGES = {"read": "start", "device": "start", "closed form": "alignment", "read-out": "alignment"}
+STAGES = {"read": "start", "device": "start", "start of R": "alignment", "read-out": "alignment"}
 """Stage of the forecast that a stage of a match counts to, where it is not one itself."""
 
 Draw = Callable[[Any, Path], None]
@@ -113,11 +117,6 @@ def measured(name: str, meshes: tuple[Mesh, Mesh], changes: dict[str, Any], draw
 
 
 def _measured_here(name: str, meshes: tuple[Mesh, Mesh], changes: dict[str, Any], draw: Draw | None) -> Measured:
-    from clalign.engine import open_backend
-    from clalign.geometry.shape import prepare_pair
-    from clalign.matching.pair import match_shapes
-    from clalign.matching.stages import Clock
-
     options = Options().replace(changes)
     watch = _StageWork()
     clock = Clock(watch)
@@ -144,7 +143,7 @@ def _measured_here(name: str, meshes: tuple[Mesh, Mesh], changes: dict[str, Any]
 
 
 class _StageWork:
-    """Processor seconds since the process began, of all threads and ended helpers, shared out to the last stage told."""
+    """Processor seconds since the process began, of all threads and ended helpers, by stage."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -209,6 +208,6 @@ def _parallel(found: Sequence[Measured], processors: int) -> float:
 
 def table(found: Sequence[Measured], machine: Machine) -> dict[str, Any]:
     """Return the content of `resources.TABLE`."""
-    date = datetime.now(timezone.utc).date().isoformat()
+    date = datetime.now(UTC).date().isoformat()
     rows = [{**asdict(one), "work": {stage: round(value, 2) for stage, value in one.work.items()}} for one in found]
     return {"date": date, "machine": asdict(machine), **fitted(found, machine.processors), "measured": rows}
