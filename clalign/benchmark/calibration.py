@@ -26,6 +26,10 @@ from clalign.benchmark.generated import generated_pair
 from clalign.benchmark.memory import PeakMemory
 from clalign.benchmark.performance import Machine
 from clalign.data import bundled_pair
+from clalign.engine import open_backend
+from clalign.geometry.shape import prepare_pair
+from clalign.matching.loop import Clock
+from clalign.matching.pair import match_shapes
 from clalign.mesh.mesh import Mesh, load_mesh
 from clalign.options import Options
 
@@ -113,11 +117,6 @@ def measured(name: str, meshes: tuple[Mesh, Mesh], changes: dict[str, Any], draw
 
 
 def _measured_here(name: str, meshes: tuple[Mesh, Mesh], changes: dict[str, Any], draw: Draw | None) -> Measured:
-    from clalign.engine import open_backend
-    from clalign.geometry.shape import prepare_pair
-    from clalign.matching.loop import Clock
-    from clalign.matching.pair import match_shapes
-
     options = Options().replace(changes)
     watch = _StageWork()
     clock = Clock(watch)
@@ -144,7 +143,7 @@ def _measured_here(name: str, meshes: tuple[Mesh, Mesh], changes: dict[str, Any]
 
 
 class _StageWork:
-    """Processor seconds of all threads and ended helpers since the process began, by the stage that was told last."""
+    """Processor seconds since the process began, of all threads and ended helpers, by stage."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

@@ -12,8 +12,7 @@ from clalign.collection.session import HELD_SHAPES
 from clalign.errors import MemoryBudgetError, MeshError, ResultError
 from clalign.mesh.mesh import load_mesh
 from clalign.options import Options
-from clalign.resources import available_memory
-from clalign.resources import forecast as forecast_match
+from clalign.resources import available_memory, forecast
 
 DASK_BYTES = 250e6
 """Of a worker process, beside what a single match takes: Dask, and what the allocator keeps from earlier pairs."""
@@ -23,7 +22,7 @@ PAGE_BYTES, PAGE_BYTES_PER_VERTEX = 1.1e6, 45.0
 
 
 @dataclass(frozen=True)
-class Forecast:
+class Needs:
     """Bytes that a collection needs at most.
 
     Attributes
@@ -49,9 +48,7 @@ class Forecast:
         )
 
 
-def forecast(
-    members: Sequence[Member], pairs: int, options: Options, *, keep: str, latent: int, pages: bool
-) -> Forecast:
+def needs(members: Sequence[Member], pairs: int, options: Options, *, keep: str, latent: int, pages: bool) -> Needs:
     """Predict from the largest mesh file, taking the others to have vertices in proportion to their files.
 
     Raises
@@ -62,7 +59,7 @@ def forecast(
     largest, vertices = _largest(members)
     share = [min(1.0, member.size / largest.size) for member in members]
     shape = shape_bytes(vertices, options)
-    match = forecast_match(vertices, vertices, options)
+    match = forecast(vertices, vertices, options)
     mean = sum(share) / len(share) * vertices
     pair = 2 * 4 * mean + 8 * latent**2 + 4096
     if pages:
@@ -70,7 +67,7 @@ def forecast(
     if keep == "full":
         pair += 2 * mean * (4 * (options.spectrum.basis + options.spectrum.descriptors) + 64)
         pair += 8 * (options.spectrum.descriptors**2 + options.spectrum.basis**2)
-    return Forecast(
+    return Needs(
         shape=shape,
         cache=sum(shape_bytes(vertices * part, options) for part in share),
         pair=pair,

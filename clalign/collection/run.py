@@ -23,7 +23,7 @@ from clalign.collection.choice import (
 )
 from clalign.collection.cluster import Task, open_client, outcomes, worker_count
 from clalign.collection.consistency import NetworkCheck, checked_by_network, missing_pairs
-from clalign.collection.forecast import check_disk, forecast, workers_that_fit
+from clalign.collection.forecast import check_disk, needs, workers_that_fit
 from clalign.collection.members import Member, read_members
 from clalign.collection.result import Collection
 from clalign.collection.rows import PairRow, ShapeRow, pair_rows, shape_rows
@@ -112,7 +112,7 @@ def match_collection(
     names = [member.name for member in members]
     listed = None if str(pairs) in PAIRINGS else listed_pairs(pairs, names)
     count = len(listed) if listed is not None else len(members) * (len(members) - 1) // 2
-    need = forecast(members, count, chosen, keep=keep, latent=latent, pages=pages is not None)
+    need = needs(members, count, chosen, keep=keep, latent=latent, pages=pages is not None)
     limit = round(CACHE_SLACK * need.cache) if cache_limit is None else cache_limit
     store = Store(out)
     store.begin(chosen, {"pairs": str(pairs), "latent": latent, "keep": keep}, resume=resume)

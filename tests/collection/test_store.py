@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from collections_small import OPTIONS, write_shapes
 
-from clalign.collection.forecast import check_disk, forecast, shape_bytes, workers_that_fit
+from clalign.collection.forecast import check_disk, needs, shape_bytes, workers_that_fit
 from clalign.collection.members import Member, read_members
 from clalign.collection.rows import PairRow, ShapeRow, pair_rows, shape_rows
 from clalign.collection.store import PairMaps, Store, pair_key
@@ -99,8 +99,8 @@ def test_forecast_grows_with_what_is_kept_and_bounds_the_prepared_shapes(tmp_pat
 
     write_shapes(tmp_path / "shapes", 3)
     members = read_members(tmp_path / "shapes")
-    little = forecast(members, 3, OPTIONS, keep="maps", latent=20, pages=False)
-    much = forecast(members, 3, OPTIONS, keep="full", latent=20, pages=True)
+    little = needs(members, 3, OPTIONS, keep="maps", latent=20, pages=False)
+    much = needs(members, 3, OPTIONS, keep="full", latent=20, pages=True)
     assert little.pairs < much.pairs
     assert little.cache == much.cache
     cache = ShapeCache(tmp_path / "cache")

@@ -35,18 +35,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Measure, fit and write."""
     from clalign import resources
-    from clalign.benchmark.calibration import measurements, table
+    from clalign.benchmark.calibration import Measured, measurements, table
     from clalign.benchmark.performance import bytes_text, this_machine
     from clalign.errors import ResultError
 
     terminal, machine = Terminal(quiet=args.quiet), this_machine()
     out = args.out or resources.TABLE
-    found = measurements(
-        draw,
-        lambda one: terminal.note(
-            f"{one.name} {one.vertices[0]:,} {one.changes or ''}: {bytes_text(one.memory)}, {one.seconds:.1f} s"
-        ),
-    )
+
+    def watch(one: Measured) -> None:
+        changes = ", ".join(f"{name}={value}" for name, value in one.changes.items()) or "default options"
+        label = f"{one.name}, {one.vertices[0]:,} vertices, {changes}"
+        terminal.note(f"{label}: {bytes_text(one.memory)}, {one.seconds:.1f} s")
+
+    found = measurements(draw, watch)
     text = json.dumps(table(found, machine), indent=1)
     try:
         out.write_text(text + "\n", encoding="utf-8")
