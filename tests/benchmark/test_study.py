@@ -44,6 +44,10 @@ def test_any_option_can_be_varied() -> None:
     assert [method.options.alignment.decay for method in methods_of(study.settings, base)] == [0.1, 0.2, 0.5]
     others = study_of("spectrum.metric=auto,euclidean", base).settings
     assert [dict(row.changes) for row in others] == [{}, *({"spectrum.metric": m} for m in ("auto", "euclidean"))]
+    rules = [row.options.rules for row in methods_of(study_of("rules.search.finalists=12,24", base).settings, base)]
+    assert [each.search.finalists for each in rules] == [12, 24]
+    tuples = methods_of(study_of("rules.refinement.settle=(200,), (150, 250)", base).settings, base)
+    assert [method.options.rules.refinement.settle for method in tuples] == [(200,), (150, 250)]
     with pytest.raises(OptionError, match=r"unknown option 'alignment\.decays'"):
         study_of("alignment.decays=1,2", base)
 

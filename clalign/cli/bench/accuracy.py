@@ -14,9 +14,9 @@ from clalign.cli.bench.common import (
     add_output_arguments,
     add_run_arguments,
     limited,
-    option_changes,
     run_methods,
 )
+from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
 
 if TYPE_CHECKING:

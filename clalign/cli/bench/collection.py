@@ -7,7 +7,8 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from clalign.cli.bench.common import add_option_arguments, add_output_arguments, option_changes
+from clalign.cli.bench.common import add_option_arguments, add_output_arguments
+from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
 
 _DESCRIPTION = """\

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver, option_changes
+from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver
+from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
 
 _DESCRIPTION = """\
