@@ -8,7 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clalign.cli.bench.common import add_option_arguments, option_changes
+from clalign.cli.bench.common import add_option_arguments
+from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from clalign.cli.bench.common import (
     add_output_arguments,
     add_run_arguments,
     limited,
-    option_changes,
     run_methods,
 )
+from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -68,8 +68,6 @@ def _add(
         help=text,
         description=f"Match all pairs of a data set and measure the errors: {text}.",
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument(
         "--methods",

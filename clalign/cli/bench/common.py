@@ -61,29 +61,6 @@ def add_output_arguments(parser: argparse.ArgumentParser, section: str | None, t
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of the table")
 
 
-def option_changes(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the changes to options that ``--seed``, ``--device`` and every ``--set`` ask for.
-
-    Raises
-    ------
-    OptionError
-        A ``--set`` without a value.
-    """
-    from clalign.errors import OptionError
-
-    changes: dict[str, Any] = {"seed": args.seed}
-    if args.device == "reference":
-        changes["engine.backend"] = "reference"
-    elif args.device is not None:
-        changes["engine.device"] = args.device
-    for change in args.changes:
-        name, equals, value = change.partition("=")
-        if not equals:
-            raise OptionError(f"--set {change}: expected GROUP.NAME=VALUE, such as alignment.weight=50")
-        changes[name.strip()] = value.strip()
-    return changes
-
-
 def limited(layouts: Sequence[Layout], args: argparse.Namespace, terminal: Terminal) -> list[Layout]:
     """Return the pairs that ``--limit`` leaves, and warn of what is missing from them."""
     kept = [layout.limited(args.limit) for layout in layouts]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver, option_changes
+from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver
+from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
 
 _DESCRIPTION = """\
@@ -20,8 +21,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "pair",
         help="time and memory of a whole match",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("source", metavar="SOURCE", type=Path, nargs="?", help="mesh file (default: the bundled pair)")
     parser.add_argument("target", metavar="TARGET", type=Path, nargs="?", help="mesh file")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver, option_changes
+from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver
+from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
 
 SIZES = "5000,10000,20000,50000,100000,200000"
@@ -23,8 +24,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "scale",
         help="time and memory over the number of vertices",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument(
         "--sizes",

@@ -13,9 +13,9 @@ from clalign.cli.bench.common import (
     add_output_arguments,
     add_run_arguments,
     limited,
-    option_changes,
     run_methods,
 )
+from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -43,8 +43,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="tables over one choice of the method: lambda, the funnel, xi, sizes, or any option",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("path", metavar="PATH", nargs="?", type=Path, help="folder of meshes, or of such folders")
     parser.add_argument(
