@@ -20,6 +20,7 @@ from clalign.errors import MemoryBudgetError
 from clalign.geometry.geodesics import affordable_samples
 from clalign.geometry.workers import processor_count
 from clalign.options import Options
+from clalign.storage.files import size_text
 
 TABLE = Path(__file__).resolve().parent / "data" / "forecast.json"
 """Coefficients, and the measurements that they were fitted to."""
@@ -200,7 +201,8 @@ def require_memory(source: int, target: int, options: Options, device: Mapping[s
     counts = f"a match of {source:,} with {target:,} vertices"
     if limit and predicted.memory > limit:
         raise MemoryBudgetError(
-            f"{counts} needs about {_mib(predicted.memory)}, {origin} {_mib(limit)}; {way_out} if you know better"
+            f"{counts} needs about {size_text(predicted.memory)}, {origin} {size_text(limit)}; "
+            f"{way_out} if you know better"
         )
     if device is None:
         return predicted
@@ -211,11 +213,8 @@ def require_memory(source: int, target: int, options: Options, device: Mapping[s
         available = int(device.get(key, 0))
         if available and needed > available:
             raise MemoryBudgetError(
-                f"{counts} needs about {_mib(needed)} {what}, {device.get('device', 'which')} has {_mib(available)}; "
-                f"{way_out}; or another device: clalign doctor lists them, --device reference uses numpy"
+                f"{counts} needs about {size_text(needed)} {what}, {device.get('device', 'which')} has "
+                f"{size_text(available)}; {way_out}; or another device: clalign doctor lists them, "
+                "--device reference uses numpy"
             )
     return predicted
-
-
-def _mib(size: int) -> str:
-    return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.0f} MiB"

@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 
 from clalign.benchmark.pairs import TruthFiles
 from clalign.benchmark.table import markdown_table
-from clalign.collection.cluster import shared_out, wait_for_workers
+from clalign.collection.cluster import wait_for_workers, worker_environment
 from clalign.collection.consistency import NETWORK_BYTES
-from clalign.collection.forecast import size_text
 from clalign.collection.members import DIGEST_LETTERS, Member
 from clalign.collection.result import Collection
 from clalign.collection.rows import PairRow, ShapeRow
@@ -35,6 +34,7 @@ from clalign.errors import ClalignError, OptionError
 from clalign.evaluation.errors import evaluate
 from clalign.mesh.mesh import Mesh, load_mesh
 from clalign.options import Options
+from clalign.storage.files import size_text
 
 RunName = Literal["one", "two", "scheduler", "star", "tree"]
 RUNS: tuple[RunName, ...] = ("one", "two", "scheduler", "star", "tree")
@@ -134,7 +134,7 @@ def hand_started(workers: int) -> Iterator[str]:
     ClalignError
         The scheduler did not start.
     """
-    environment = {**os.environ, **shared_out(workers)}
+    environment = {**os.environ, **worker_environment(workers)}
     with tempfile.TemporaryDirectory(prefix="clalign-dask-") as folder, contextlib.ExitStack() as stack:
         file = Path(folder) / "scheduler.json"
 

@@ -23,6 +23,7 @@ from clalign.benchmark.table import markdown_table
 from clalign.errors import ClalignError
 from clalign.mesh.writing import save_mesh
 from clalign.options import Options
+from clalign.storage.files import KERNEL_VARIABLE
 
 START = "start"
 """Stage of the interpreter and its imports: what a process takes beside the match."""
@@ -92,7 +93,7 @@ def _empty_driver_caches() -> Iterator[dict[str, str]]:
     with tempfile.TemporaryDirectory(prefix="clalign-") as folder:
         drivers = Path(folder) / "pocl"
         drivers.mkdir()
-        yield {"POCL_CACHE_DIR": str(drivers), "XDG_CACHE_HOME": folder}
+        yield {KERNEL_VARIABLE: str(drivers), "XDG_CACHE_HOME": folder}
 
 
 def measure_pair(

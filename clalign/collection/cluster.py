@@ -74,7 +74,7 @@ def _local_cluster(workers: int) -> Iterator[LocalCluster]:
     import dask
     import distributed
 
-    shares = shared_out(workers)
+    shares = worker_environment(workers)
     settings = {"distributed.scheduler.allowed-failures": 3, "distributed.nanny.pre-spawn-environ": shares}
     with (
         # Dask leaves its variables behind in this process, and what is set here has precedence over them.
@@ -105,7 +105,7 @@ def _quiet() -> Iterator[None]:
             each.setLevel(level)
 
 
-def shared_out(workers: int) -> dict[str, str]:
+def worker_environment(workers: int) -> dict[str, str]:
     """Return the variables of a local worker; the libraries read them when they load, so they are set before."""
     share = str(max(1, processor_count() // workers))
     device = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", THREADS_VARIABLE)

@@ -13,6 +13,7 @@ from clalign.errors import MemoryBudgetError, MeshError, ResultError
 from clalign.mesh.mesh import load_mesh
 from clalign.options import Options
 from clalign.resources import available_memory, forecast
+from clalign.storage.files import size_text
 
 DASK_BYTES = 250e6
 """Of a worker process, beside what a single match takes: Dask, and what the allocator keeps from earlier pairs."""
@@ -128,12 +129,3 @@ def workers_that_fit(needed: float, wanted: int | None, processors: int) -> int:
             "are free; use fewer --workers, or fewer functions (--preset fast)"
         )
     return wanted or max(1, min(processors, fitting))
-
-
-def size_text(size: float) -> str:
-    """Return bytes as people read them."""
-    for unit in ("bytes", "kB", "MB", "GB"):
-        if size < 1000:
-            return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.3g} {unit}"
-        size /= 1000
-    return f"{size:.3g} TB"

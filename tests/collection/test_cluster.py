@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from clalign.collection.cluster import open_client, shared_out
+from clalign.collection.cluster import open_client, worker_environment
 
 pytest.importorskip("distributed")
 
@@ -16,7 +16,7 @@ def test_each_run_shares_the_processors_out_anew(tmp_path: Path) -> None:
     """In one process, the workers of a second run get its shares and not those of the first."""
     before = dict(os.environ)
     for workers in (1, 2):
-        shares = shared_out(workers)
+        shares = worker_environment(workers)
         with open_client(None, workers, tmp_path) as client:
             seen = client.run(lambda: dict(os.environ))
             assert len(seen) == workers

@@ -19,10 +19,9 @@ from clalign.storage.folders import recover
 PROGRAM = [sys.executable, "-m", "clalign.cli.main"]
 ENDLESS = """
 import sys
-from clalign.matching.pair import match as matching
-from clalign.matching.pair import stages as pipeline
+from clalign.matching import pair, stages
 from clalign.cli.main import program
-module, name = {"prepare": (matching, "prepare_pair"), "search": (pipeline, "find_isometry")}[sys.argv.pop(1)]
+module, name = {"prepare": (pair, "prepare_pair"), "search": (stages, "find_isometry")}[sys.argv.pop(1)]
 once = getattr(module, name)
 def again_and_again(*arguments):
     while True:

@@ -48,8 +48,8 @@ WHOLE = [
 
 def once(monkeypatch: pytest.MonkeyPatch, place: str, after: int = 0) -> None:
     """Let the function at `place` be interrupted at its call number `after`, and work before and after that."""
-    room, _, name = place.rpartition(".")
-    owner = pkgutil.resolve_name(room)
+    module, _, name = place.rpartition(".")
+    owner = pkgutil.resolve_name(module)
     plain, calls = getattr(owner, name), 0
 
     def interrupted(*arguments: Any, **named: Any) -> Any:

@@ -21,7 +21,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "bench",
         help="run a benchmark",
         description="Run a benchmark: accuracy on a data set, or speed.",
-        allow_abbrev=False,
     )
     inner = parser.add_subparsers(title="benchmarks", metavar="BENCHMARK", required=True)
     for subcommand in SUBCOMMANDS:

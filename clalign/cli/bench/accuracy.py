@@ -68,8 +68,6 @@ def _add(
         help=text,
         description=f"Match all pairs of a data set and measure the errors: {text}.",
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument(
         "--methods",

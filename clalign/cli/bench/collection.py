@@ -31,8 +31,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="a whole set of shapes: seconds, equality of maps, consistency",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("path", metavar="PATH", type=Path, help="folder of meshes, or a file that lists them")
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("clalign-bench-collection"))

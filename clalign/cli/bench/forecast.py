@@ -24,8 +24,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "forecast",
         help="calibrate the forecast of memory and time",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("--out", metavar="FILE", type=Path, help="write the coefficients to FILE instead")
     parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")

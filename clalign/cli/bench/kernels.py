@@ -29,8 +29,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "kernels",
         help="rates of the kernels on a device",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("--quick", action="store_true", help="small sizes only: half a minute instead of several")
     parser.add_argument("--parts", metavar="NAMES", default=",".join(PARTS), help="comma-separated (default: all)")

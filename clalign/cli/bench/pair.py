@@ -21,8 +21,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "pair",
         help="time and memory of a whole match",
         description=_DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("source", metavar="SOURCE", type=Path, nargs="?", help="mesh file (default: the bundled pair)")
     parser.add_argument("target", metavar="TARGET", type=Path, nargs="?", help="mesh file")

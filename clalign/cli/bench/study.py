@@ -43,8 +43,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="tables over one choice of the method: lambda, the funnel, xi, sizes, or any option",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("path", metavar="PATH", nargs="?", type=Path, help="folder of meshes, or of such folders")
     parser.add_argument(
