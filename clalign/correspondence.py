@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.errors import OptionError, ResultError
+from clalign.errors import ClalignWarning, OptionError, ResultError
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.point_maps import PointMaps, check_map, write_map
 from clalign.mesh.mesh import Mesh
@@ -34,7 +35,7 @@ FORWARD_FILE = "target_of_source.txt"
 BACKWARD_FILE = "source_of_target.txt"
 
 _MESH_ARRAYS = ("vertices", "faces", "offset", "file_index")
-_SPECTRA = ("source_basis", "target_basis", "source_descriptors", "target_descriptors")
+_SPECTRA = ("source_basis", "target_basis", "source_scale_invariant", "target_scale_invariant")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +70,7 @@ class Correspondence:
     functional_map : (k_y, k_x) float64, C: coefficients of a function on X to those of its image on Y (Eq. 13).
     rotation : (d, d) float64, R, banded and nearly orthogonal (Eq. 20).
     source_basis, target_basis : LBO eigenfunctions of both meshes.
-    source_descriptors, target_descriptors : scale-invariant eigenfunctions; the signs that the search found are
+    source_scale_invariant, target_scale_invariant : scale-invariant eigenfunctions; the signs that the search found are
         already in those of the source.
     history : one entry an evaluation: round, evaluation, total, align, unsup, cycle, unitarity.
     losses : the terms at the kept point.
@@ -99,8 +100,8 @@ class Correspondence:
     rotation: NDArray[np.float64]
     source_basis: Spectrum
     target_basis: Spectrum
-    source_descriptors: Spectrum
-    target_descriptors: Spectrum
+    source_scale_invariant: Spectrum
+    target_scale_invariant: Spectrum
     history: tuple[dict[str, float], ...]
     losses: dict[str, float]
     confidence: float
@@ -135,13 +136,24 @@ class Correspondence:
     @property
     def source_aligned(self) -> NDArray[np.float64]:
         """(n_x, d) scale-invariant eigenfunctions of the source turned towards the target's, Φ̃R (Eq. 20)."""
-        return self.source_descriptors.functions[:, : len(self.rotation)] @ self.rotation
+        return self.source_scale_invariant.functions[:, : len(self.rotation)] @ self.rotation
 
     @property
     def target_aligned(self) -> NDArray[np.float64]:
         """(n_y, d) those of the target turned towards the source's, Ψ̃Rᵀ; Ψ̃ as it is for a one-sided match (Eq. 18)."""
-        functions = self.target_descriptors.functions[:, : len(self.rotation)]
+        functions = self.target_scale_invariant.functions[:, : len(self.rotation)]
         return functions if self.options.alignment.sides == "one" else functions @ self.rotation.T
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("source_descriptors", "target_descriptors"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        now = name.replace("descriptors", "scale_invariant")
+        warnings.warn(
+            f"Correspondence.{name} is now {now}; the old name is accepted for one release",
+            ClalignWarning,
+            stacklevel=2,
+        )
+        return getattr(self, now)
 
     @property
     def interrupted(self) -> bool:
@@ -197,7 +209,7 @@ class Correspondence:
             "basis_target": self.target_basis.functions.shape[1],
             "functional_map_rows": self.functional_map.shape[0],
             "functional_map_columns": self.functional_map.shape[1],
-            "descriptors": len(self.rotation),
+            "scale_invariant": len(self.rotation),
             "evaluations": len(self.history),
             "alternatives": len(self.alternatives),
         }
@@ -317,7 +329,8 @@ def _read_arrays(folder: Path) -> dict[str, NDArray[Any]]:
     path = folder / ARRAYS_FILE
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
+            # Results of the release before call the scale-invariant eigenfunctions descriptors.
+            return {name.replace("_descriptors.", "_scale_invariant."): stored[name] for name in stored.files}
     except FileNotFoundError as error:
         raise ResultError(f"{folder}: {ARRAYS_FILE} is missing; match the meshes again") from error
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
@@ -339,8 +352,8 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         rotation=arrays["rotation"],
         source_basis=_spectrum("source_basis", arrays),
         target_basis=_spectrum("target_basis", arrays),
-        source_descriptors=_spectrum("source_descriptors", arrays),
-        target_descriptors=_spectrum("target_descriptors", arrays),
+        source_scale_invariant=_spectrum("source_scale_invariant", arrays),
+        target_scale_invariant=_spectrum("target_scale_invariant", arrays),
         history=tuple(
             {name: float(value) for name, value in zip(columns, row, strict=True) if not np.isnan(value)}
             for row in arrays["history.values"]

@@ -15,7 +15,10 @@ from clalign.errors import ClalignWarning, OptionError
 
 Group = TypeVar("Group")
 
-RENAMED: Mapping[str, str] = {"alignment.rounds": "alignment.outer_iterations"}
+RENAMED: Mapping[str, str] = {
+    "alignment.rounds": "alignment.outer_iterations",
+    "spectrum.descriptors": "spectrum.scale_invariant",
+}
 """Options by their names of the release before."""
 
 RENAMED_VALUES: Mapping[tuple[str, Any], Any] = {

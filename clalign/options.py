@@ -74,7 +74,7 @@ class SpectrumOptions:
     basis : number k of LBO eigenfunctions in the functional map C.
     refinement : number of LBO eigenfunctions computed in all, for ZoomOut (at least `basis`). A search
         needs three.
-    descriptors : number d of scale-invariant eigenfunctions that R aligns.
+    scale_invariant : number d of scale-invariant eigenfunctions that R aligns.
     metric : conformal factor of the scale-invariant operator: "power" |K|^xi (Eq. 29), "regularized"
         sqrt(K² + epsilon²) (Eq. 7), "euclidean" 1 (Eq. 3), "heat-kernel", or "auto" (xi chosen per pair).
     xi : exponent of "power", in (0, 1].
@@ -88,7 +88,7 @@ class SpectrumOptions:
 
     basis: int = 120
     refinement: int = 200
-    descriptors: int = 352
+    scale_invariant: int = 352
     metric: Metric = "power"
     xi: float = 0.5
     smoothing: float = 0.0005
@@ -98,7 +98,7 @@ class SpectrumOptions:
 
     def __post_init__(self) -> None:
         _check_choices("spectrum", self)
-        _positive("spectrum", self, "basis", "descriptors", "epsilon", "refinement")
+        _positive("spectrum", self, "basis", "scale_invariant", "epsilon", "refinement")
         _not_negative("spectrum", self, "smoothing")
         _require(0 <= self.noisy_below <= 1, f"spectrum.noisy_below must lie in [0, 1], got {self.noisy_below!r}")
         _require(0 < self.xi <= 1, f"spectrum.xi must lie in (0, 1], got {self.xi!r}")
@@ -295,7 +295,7 @@ class Options:
 PRESETS: dict[str, dict[str, Any]] = {
     "default": {},
     "fast": {
-        "spectrum.descriptors": 200,
+        "spectrum.scale_invariant": 200,
         "geodesics.search_samples": 500,
         "alignment.outer_iterations": 0,
         "readout.steps": 2,

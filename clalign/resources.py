@@ -68,8 +68,10 @@ def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
     spectrum, alignment = options.spectrum, options.alignment
     both, larger, smaller = source + target, max(source, target), min(source, target)
     cap = max(smaller // 3, 1)
-    descriptors, functions = (min(k, cap) for k in (spectrum.descriptors, max(spectrum.basis, spectrum.refinement)))
-    basis = min(spectrum.basis, descriptors)
+    scale_invariant, functions = (
+        min(k, cap) for k in (spectrum.scale_invariant, max(spectrum.basis, spectrum.refinement))
+    )
+    basis = min(spectrum.basis, scale_invariant)
     wanted = options.geodesics.search_samples, options.geodesics.factor_samples
     samples = affordable_samples(larger, *wanted)
     rows = min(wanted[1], samples)
@@ -78,20 +80,20 @@ def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
     evaluations = alignment.outer_iterations * alignment.iterations + 1
     searched = float(options.search.method != "random")
     maps = searched * (1 + options.search.alternatives) * (options.readout.refine != "none")
-    columns = both * (functions + descriptors + rows)
-    compared = both**1.5 * descriptors
+    columns = both * (functions + scale_invariant + rows)
+    compared = both**1.5 * scale_invariant
     real = real_bytes(options)
     return {
         HOST: {"fixed": 1.0, "functions": 8.0 * columns, "distances": 4 * sampled + 16 * samples**2,
                "factors": 12.0 * both * math.log2(larger)},
         DEVICE: {"fixed": real, "functions": real * columns, "samples": real * samples**2,
-                 "losses": real * losses * (basis + rows), "rotation": real * descriptors**2},
+                 "losses": real * losses * (basis + rows), "rotation": real * scale_invariant**2},
         "start": {"fixed": 1.0, "vertices": both},
-        "prepare": {"functions": both * (functions + descriptors), "distances": sampled, "factors": both**1.5},
+        "prepare": {"functions": both * (functions + scale_invariant), "distances": sampled, "factors": both**1.5},
         "search": {"fixed": searched, "samples": searched * samples},
-        "refinement": {"fixed": maps, "functions": maps * both * (functions + descriptors)},
-        "metric": {"functions": both * descriptors * (spectrum.metric == "auto")},
-        "alignment": {"losses": evaluations * losses * basis**2.0, "rotation": evaluations * descriptors**2.0,
+        "refinement": {"fixed": maps, "functions": maps * both * (functions + scale_invariant)},
+        "metric": {"functions": both * scale_invariant * (spectrum.metric == "auto")},
+        "alignment": {"losses": evaluations * losses * basis**2.0, "rotation": evaluations * scale_invariant**2.0,
                       "outer": compared * alignment.outer_iterations, "maps": compared * (1 + options.readout.steps)},
         "result": {"fixed": 1.0, "vertices": both},
     }  # fmt: skip
@@ -136,7 +138,7 @@ def forecast(
     return Forecast(
         memory=int(memory),
         device_memory=int(device),
-        largest_buffer=int(real_bytes(options) * max(source, target) * options.spectrum.descriptors),
+        largest_buffer=int(real_bytes(options) * max(source, target) * options.spectrum.scale_invariant),
         stages={stage: pace[stage] * weighted(found[stage], coefficients[stage]) for stage in STAGES},
     )
 
@@ -195,8 +197,8 @@ def require_memory(source: int, target: int, options: Options, device: Mapping[s
     if not limit:
         limit, origin = available_memory() or 0, "this machine has free"
     way_out = (
-        "use --preset fast, fewer functions (spectrum.descriptors, spectrum.refinement), a decimated mesh, or a larger "
-        "engine.memory"
+        "use --preset fast, fewer functions (spectrum.scale_invariant, spectrum.refinement), a decimated mesh, or a "
+        "larger engine.memory"
     )
     counts = f"a match of {source:,} with {target:,} vertices"
     if limit and predicted.memory > limit:

@@ -19,7 +19,7 @@ IMAGES = Path(__file__).resolve().parent / "figures" / "images"
 QUICK = {
     "spectrum.basis": 40,
     "spectrum.refinement": 60,
-    "spectrum.descriptors": 60,
+    "spectrum.scale_invariant": 60,
     "geodesics.factor_samples": 40,
     "geodesics.search_samples": 400,
     "alignment.samples": 400,

@@ -14,7 +14,7 @@ CHANGES = {
     "engine.backend": "reference",
     "spectrum.basis": 30,
     "spectrum.refinement": 40,
-    "spectrum.descriptors": 40,
+    "spectrum.scale_invariant": 40,
     "geodesics.search_samples": 100,
     "geodesics.factor_samples": 40,
     "search.method": "tree",

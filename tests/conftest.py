@@ -97,7 +97,7 @@ def true_correspondence(bumpy_pair: Pair) -> Correspondence:
 
 @pytest.fixture(scope="session")
 def small() -> PreparedPair:
-    """162 vertices each, 16 LBO functions, 20 descriptors."""
+    """162 vertices each, 16 LBO functions, 20 scale-invariant eigenfunctions."""
     import prepared
 
     return prepared.prepared_pair(prepared.tiny_pair(), prepared.SMALL)
@@ -105,7 +105,7 @@ def small() -> PreparedPair:
 
 @pytest.fixture(scope="session")
 def middle(bumpy_pair: Pair) -> PreparedPair:
-    """642 vertices each, 60 LBO functions, 60 descriptors."""
+    """642 vertices each, 60 LBO functions, 60 scale-invariant eigenfunctions."""
     import prepared
 
     return prepared.prepared_pair(bumpy_pair, prepared.MIDDLE)

@@ -42,8 +42,8 @@ def correspondence(source: Arrays, target: Arrays, truth: NDArray[np.int64]) -> 
         rotation=left @ right * signs[:, None],
         source_basis=replace(source_basis, functions=source_basis.functions * signs),
         target_basis=target_basis,
-        source_descriptors=replace(source_basis, functions=source_basis.functions * signs),
-        target_descriptors=target_basis,
+        source_scale_invariant=replace(source_basis, functions=source_basis.functions * signs),
+        target_scale_invariant=target_basis,
         history=(
             {"outer_iteration": 0.0, "evaluation": 0.0, "total": 3.0, "align": 1.0, "unsup": 0.01},
             {"outer_iteration": 0.0, "evaluation": 1.0, "total": 2.5, "align": 0.9, "unsup": 0.008, "cycle": 0.5},
@@ -69,14 +69,14 @@ def _basis(mesh: Mesh) -> Spectrum:
     return solve(stiffness(mesh.vertices, mesh.faces), mass, FUNCTIONS)
 
 
-def spectra(mesh: Mesh, basis: int, descriptors: int) -> tuple[Spectrum, Spectrum]:
+def spectra(mesh: Mesh, basis: int, scale_invariant: int) -> tuple[Spectrum, Spectrum]:
     """LBO and scale-invariant eigenfunctions of a mesh."""
     weights = stiffness(mesh.vertices, mesh.faces)
     mass = lumped_mass(mesh.vertices, mesh.faces)
     curvature = gaussian_curvature(mesh.vertices, mesh.faces, mass)
     functions = solve(weights, mass, basis)
     factor = conformal_factor(curvature, mass, SpectrumOptions(), functions)
-    return functions, solve(weights, mass * factor, descriptors)
+    return functions, solve(weights, mass * factor, scale_invariant)
 
 
 def fabricate(
@@ -86,13 +86,13 @@ def fabricate(
     source_of_target: NDArray[np.int64],
     *,
     basis: int = 20,
-    descriptors: int = 16,
+    scale_invariant: int = 16,
     alternatives: int = 1,
     spectra_of: Callable[[Mesh, int, int], tuple[Spectrum, Spectrum]] = spectra,
 ) -> Correspondence:
     """The result that a match with these maps (in file numbering) would give: C and R by least squares from them."""
-    source_basis, source_si = spectra_of(source, basis, descriptors)
-    target_basis, target_si = spectra_of(target, basis, descriptors)
+    source_basis, source_si = spectra_of(source, basis, scale_invariant)
+    target_basis, target_si = spectra_of(target, basis, scale_invariant)
     pulled = target.map_from_file(source, source_of_target)
     functional_map = target_basis.functions.T @ (target_basis.mass[:, None] * source_basis.functions[pulled])
     turned = source_si.functions[pulled].T @ (target_si.mass[:, None] * target_si.functions)
@@ -109,8 +109,8 @@ def fabricate(
         rotation=rotation,
         source_basis=source_basis,
         target_basis=target_basis,
-        source_descriptors=Spectrum(source_si.eigenvalues, source_si.functions * signs, source_si.mass),
-        target_descriptors=target_si,
+        source_scale_invariant=Spectrum(source_si.eigenvalues, source_si.functions * signs, source_si.mass),
+        target_scale_invariant=target_si,
         history=tuple(
             {"outer_iteration": step // 8, "evaluation": step, "total": 3.0 * 0.9**step + 1, "align": 0.2 * 0.95**step}
             | {"unsup": 0.014 * 0.9**step + 0.004, "cycle": 0.0, "unitarity": 0.01 + 0.001 * step}

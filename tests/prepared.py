@@ -27,7 +27,7 @@ SMALL = Options().replace(
     {
         "spectrum.basis": 16,
         "spectrum.refinement": 16,
-        "spectrum.descriptors": 20,
+        "spectrum.scale_invariant": 20,
         "spectrum.xi": 0.3,
         "geodesics.factor_samples": 40,
         "geodesics.search_samples": 60,
@@ -38,7 +38,7 @@ MIDDLE = Options().replace(
     {
         "spectrum.basis": 40,
         "spectrum.refinement": 60,
-        "spectrum.descriptors": 60,
+        "spectrum.scale_invariant": 60,
         "spectrum.xi": 0.3,
         "geodesics.factor_samples": 60,
         "geodesics.search_samples": 250,
@@ -93,12 +93,14 @@ def bound(pair: PreparedPair, options: Options, backend: Backend | None = None, 
     """
     source, target, truth = pair
     chosen = Reference() if backend is None else backend
-    count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
+    count = min(options.spectrum.scale_invariant, source.scale_invariant.count, target.scale_invariant.count)
     band = funnel_band(count, options.alignment)
     one_sided = options.alignment.sides == "one"
-    start = least_squares_start(source.descriptors, target.descriptors, truth, band, Reference(), one_sided=one_sided)
-    descriptors = source.descriptors.head(count, start.signs), target.descriptors.head(count)
-    objective = bind(source, target, descriptors, chosen, options)
+    start = least_squares_start(
+        source.scale_invariant, target.scale_invariant, truth, band, Reference(), one_sided=one_sided
+    )
+    scale_invariant = source.scale_invariant.head(count, start.signs), target.scale_invariant.head(count)
+    objective = bind(source, target, scale_invariant, chosen, options)
     if dense:
         x, y, factors = objective.source, objective.target, objective.factors
         objective.distances = DenseTerms(x, y, factors, dense_distances(source, target), chosen)

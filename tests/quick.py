@@ -17,7 +17,7 @@ QUICK = [
         "--set",
         "alignment.outer_iterations=1",
     ),
-    *("--set", "alignment.iterations=5", "--set", "spectrum.descriptors=24", "--set", "spectrum.basis=16"),
+    *("--set", "alignment.iterations=5", "--set", "spectrum.scale_invariant=24", "--set", "spectrum.basis=16"),
     *("--set", "spectrum.refinement=16", "--set", "geodesics.search_samples=60", "--set", "readout.steps=0"),
 ]
 

@@ -96,18 +96,18 @@ def test_facts_are_strict_json_with_null_for_what_is_no_number(
 def test_aligned_functions_agree_at_matched_points(true_correspondence: Correspondence) -> None:
     """With R from the truth, Φ̃R and Ψ̃ agree at matched points, and so do Φ̃ and Ψ̃Rᵀ (Eq. 20)."""
     truth = true_correspondence.target_of_source
-    descriptors = true_correspondence.target_descriptors.functions[truth]
-    error = np.linalg.norm(true_correspondence.source_aligned - descriptors) / np.linalg.norm(descriptors)
+    scale_invariant = true_correspondence.target_scale_invariant.functions[truth]
+    error = np.linalg.norm(true_correspondence.source_aligned - scale_invariant) / np.linalg.norm(scale_invariant)
     assert error < 0.15
     back = true_correspondence.target_aligned[truth]
-    sources = true_correspondence.source_descriptors.functions
+    sources = true_correspondence.source_scale_invariant.functions
     assert np.linalg.norm(back - sources) / np.linalg.norm(sources) < 0.15
 
 
 def test_one_sided_match_leaves_the_target_functions(true_correspondence: Correspondence) -> None:
     options = true_correspondence.options.replace({"alignment.sides": "one"})
     one_sided = dataclasses.replace(true_correspondence, options=options)
-    np.testing.assert_array_equal(one_sided.target_aligned, one_sided.target_descriptors.functions)
+    np.testing.assert_array_equal(one_sided.target_aligned, one_sided.target_scale_invariant.functions)
     np.testing.assert_array_equal(one_sided.source_aligned, true_correspondence.source_aligned)
 
 

@@ -39,7 +39,7 @@ def test_presets_differ_and_default_is_the_default() -> None:
 def test_paper_preset_is_the_method_as_printed() -> None:
     paper = Options.preset("paper")
     assert paper.spectrum.basis == 120
-    assert paper.spectrum.descriptors == 352
+    assert paper.spectrum.scale_invariant == 352
     assert paper.alignment.weight == 200
     assert (paper.alignment.band_slope, paper.alignment.band_offset) == (2.5, 2)
     assert paper.search.method == "random"
@@ -151,6 +151,7 @@ def test_options_are_frozen_and_leave_the_original_alone() -> None:
         ({"alignment.denominator": "frozen"}, {"alignment.denominator": "fixed"}),
         ({"readout.refine": "pieces"}, {}),
         ({"readout.refine": "upsample"}, {"readout.refine": "zoomout"}),
+        ({"spectrum.descriptors": 40}, {"spectrum.scale_invariant": 40}),
         ({"alignment.distances": "factors"}, {}),
         ({"spectrum.solver": "block"}, {}),
     ],

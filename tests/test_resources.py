@@ -66,7 +66,7 @@ def test_more_of_anything_needs_more(size: int) -> None:
     for counts, changes in (
         ((2 * size, size), {}),
         ((size, 2 * size), {}),
-        ((size, size), {"spectrum.descriptors": 700}),
+        ((size, size), {"spectrum.scale_invariant": 700}),
         ((size, size), {"spectrum.refinement": 900}),
         ((size, size), {"geodesics.factor_samples": 200}),
         ((size, size), {"engine.precision": "double"}),
@@ -89,7 +89,7 @@ def test_more_of_anything_needs_more(size: int) -> None:
     [
         ({}, {"engine.precision": "double"}, "memory"),
         ({}, {"engine.backend": "reference"}, "memory"),
-        ({"spectrum.descriptors": 200}, {}, "memory"),
+        ({"spectrum.scale_invariant": 200}, {}, "memory"),
         ({}, {"spectrum.refinement": 400}, "memory"),
         ({"spectrum.basis": 60}, {}, "device_memory"),
         ({}, {"alignment.samples": 0}, "device_memory"),
@@ -114,7 +114,7 @@ def test_a_device_with_memory_of_its_own_leaves_the_machine_more() -> None:
 
 
 def test_small_meshes_have_fewer_functions_than_asked_for() -> None:
-    assert forecast(300, 300, Options()) == forecast(300, 300, Options().replace({"spectrum.descriptors": 700}))
+    assert forecast(300, 300, Options()) == forecast(300, 300, Options().replace({"spectrum.scale_invariant": 700}))
 
 
 def test_what_fits_is_let_through_with_its_forecast() -> None:

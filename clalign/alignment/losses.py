@@ -49,7 +49,7 @@ class AlignmentLoss:
     """l_align(R) = ‖Φ̃R − Ψ̃_π Rᵀ‖² / ‖Ψ̃_π Rᵀ‖² over the source (Eq. 21), from Gram matrices (d, d) alone."""
 
     def __init__(self, source: ShapeData, target: ShapeData, band: Band, backend: Backend, *, one_sided: bool) -> None:
-        self.source, self.target = backend.array(source.descriptors), backend.array(target.descriptors)
+        self.source, self.target = backend.array(source.scale_invariant), backend.array(target.scale_invariant)
         self._band, self._backend, self._one_sided = band, backend, one_sided
         self._mass = backend.array(source.loss_weights)
         self._gram_source = backend.weighted_gram(self.source, self.source, self._mass)

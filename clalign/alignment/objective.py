@@ -93,7 +93,7 @@ class Objective:
         return rotation
 
     @property
-    def descriptors(self) -> tuple[Any, Any]:
+    def scale_invariant(self) -> tuple[Any, Any]:
         """Φ̃ (n_x, d) and Ψ̃ (n_y, d), arrays of the backend."""
         return self._align.source, self._align.target
 
@@ -104,7 +104,7 @@ class Objective:
 
     def embeddings(self, rotation: NDArray[np.float64]) -> tuple[Any, Any]:
         """Return Φ̃ R (n_x, d) and Ψ̃ Rᵀ (n_y, d) (one-sided: Ψ̃), arrays of the backend."""
-        backend, (x, y) = self.backend, self.descriptors
+        backend, (x, y) = self.backend, self.scale_invariant
         turn, transposed = self._both(rotation)
         source = backend.banded_product(x, turn, right=self.band)
         return source, y if self._one_sided else backend.banded_product(y, transposed, right=self.band.transposed)

@@ -19,7 +19,7 @@ class ShapeData:
     Attributes
     ----------
     basis : (n, k) LBO eigenfunctions.
-    descriptors : (n, d) scale-invariant eigenfunctions.
+    scale_invariant : (n, d) scale-invariant eigenfunctions.
     projection : (k, d) ΦᵀAΦ̃ (Eq. 12, 13).
     loss_weights : (n,) vertex weights of l_align: areas, or 1/n.
     soft_weights : (n,) row weights of the soft map: areas, or ones as in the paper.
@@ -29,7 +29,7 @@ class ShapeData:
     """
 
     basis: NDArray[np.float64]
-    descriptors: NDArray[np.float64]
+    scale_invariant: NDArray[np.float64]
     projection: NDArray[np.float64]
     loss_weights: NDArray[np.float64]
     soft_weights: NDArray[np.float64]
@@ -57,15 +57,17 @@ class SampledFactors:
     core: NDArray[np.float64]
 
 
-def shape_data(shape: Shape, basis_size: int, descriptors: NDArray[np.float64], options: AlignmentOptions) -> ShapeData:
-    """Return the data of `shape` with its first `basis_size` LBO functions and the given descriptors (n, d)."""
+def shape_data(
+    shape: Shape, basis_size: int, scale_invariant: NDArray[np.float64], options: AlignmentOptions
+) -> ShapeData:
+    """Return the data of `shape` with its first `basis_size` LBO functions and some scale-invariant ones (n, d)."""
     basis = np.ascontiguousarray(shape.basis.functions[:, :basis_size])
     count = len(basis)
     uniform = options.weights == "uniform"
     return ShapeData(
         basis=basis,
-        descriptors=descriptors,
-        projection=basis.T @ (shape.mass[:, None] * descriptors),
+        scale_invariant=scale_invariant,
+        projection=basis.T @ (shape.mass[:, None] * scale_invariant),
         loss_weights=np.full(count, 1.0 / count) if uniform else shape.mass,
         soft_weights=np.ones(count) if uniform else shape.mass,
         normal=basis.T @ basis if uniform else None,

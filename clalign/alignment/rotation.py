@@ -33,7 +33,7 @@ class StartingRotation:
 def starting_rotation(
     functional: NDArray[np.float64], mask: NDArray[np.bool_], *, one_sided: bool = False
 ) -> StartingRotation:
-    """Return the R that explains a functional map between descriptors.
+    """Return the R that explains a functional map between scale-invariant eigenfunctions.
 
     A real R cannot flip a single sign, since R R = diag(−1, 1, …) has no real solution, and about half of the
     eigenfunctions of two shapes do differ in sign. So the signs of the diagonal are taken out first, and R is the
@@ -41,7 +41,7 @@ def starting_rotation(
 
     Parameters
     ----------
-    functional : (d, d) functional map in the descriptors, Ψ̃ C ≈ Φ̃[source_of_target].
+    functional : (d, d) functional map between them, Ψ̃ C ≈ Φ̃[source_of_target].
     mask : (d, d) the funnel.
     one_sided : return C̃ itself (Eq. 18) instead of its square root (Eq. 19).
     """

@@ -38,8 +38,8 @@ SIZES = (1000, 4000, 10_000, 25_000)
 VARIED = 2500
 VARIANTS: tuple[dict[str, Any], ...] = (
     {"engine.precision": "double"},
-    {"spectrum.descriptors": 150},
-    {"spectrum.descriptors": 700},
+    {"spectrum.scale_invariant": 150},
+    {"spectrum.scale_invariant": 700},
     {"spectrum.refinement": 600},
     {"spectrum.metric": "auto"},
     {"search.method": "random"},

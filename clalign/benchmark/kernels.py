@@ -46,7 +46,7 @@ NUMPY_ROWS = 2000
 
 @dataclass(frozen=True)
 class Size:
-    """Problem size: n vertices on both shapes, k basis functions, d descriptors, r columns of the distance factor."""
+    """Problem size: n vertices on both shapes, k basis functions, d scale-invariant ones, r columns of the factors."""
 
     n: int
     k: int
@@ -248,7 +248,7 @@ def loss_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Iterat
 
 
 def search_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Iterator[Case]:
-    """Nearest points in the descriptors, and scores of 256 maps between 200 samples."""
+    """Nearest points among eigenfunctions, and scores of 256 maps between 200 samples."""
     n, d = size.n, size.d
     points = min(n, 6890)
     queries, among = kernels.array(_random(rng, n, d)), kernels.array(_random(rng, points, d))
@@ -334,7 +334,7 @@ class SpectraTimes:
 
     vertices: int
     basis: int
-    descriptors: int
+    scale_invariant: int
     seconds: float
     scipy_seconds: float
 
@@ -344,19 +344,19 @@ class SpectraTimes:
         return self.scipy_seconds / self.seconds
 
 
-def measure_spectra(mesh: Mesh, basis: int = 120, descriptors: int = 352, repeats: int = 2) -> SpectraTimes:
+def measure_spectra(mesh: Mesh, basis: int = 120, scale_invariant: int = 352, repeats: int = 2) -> SpectraTimes:
     """Time Laplace–Beltrami and scale-invariant eigenfunctions of a mesh, ours and scipy's in turn, the best of each.
 
     Ours includes the check of every residual. scipy's is shift-invert ARPACK as its manual has it for the lowest
     eigenpairs, with the mass matrix and a shift just below zero; its matrix products run in one thread, as ours do,
     since on a busy machine more threads slow it down severalfold.
     """
-    options = SpectrumOptions(basis=basis, descriptors=descriptors)
+    options = SpectrumOptions(basis=basis, scale_invariant=scale_invariant)
     mass, matrix = lumped_mass(mesh.vertices, mesh.faces), stiffness(mesh.vertices, mesh.faces)
     functions = solve(matrix, mass, basis, threads=processor_count())
     curvature = gaussian_curvature(mesh.vertices, mesh.faces, mass)
     invariant = mass * conformal_factor(curvature, mass, options, functions)
-    wanted = ((mass, functions.count), (invariant, min(descriptors, len(mass) // 3)))
+    wanted = ((mass, functions.count), (invariant, min(scale_invariant, len(mass) // 3)))
 
     def ours() -> None:
         for weights, count in wanted:
@@ -370,7 +370,7 @@ def measure_spectra(mesh: Mesh, basis: int = 120, descriptors: int = 352, repeat
     seconds = scipy_seconds = float("inf")
     for _ in range(repeats):
         seconds, scipy_seconds = min(seconds, elapsed(ours)), min(scipy_seconds, elapsed(scipys))
-    return SpectraTimes(len(mass), functions.count, min(descriptors, len(mass) // 3), seconds, scipy_seconds)
+    return SpectraTimes(len(mass), functions.count, min(scale_invariant, len(mass) // 3), seconds, scipy_seconds)
 
 
 def spectra_table(times: SpectraTimes) -> str:
@@ -379,5 +379,5 @@ def spectra_table(times: SpectraTimes) -> str:
         ["block Lanczos, residuals checked", seconds_text(times.seconds), f"{times.ratio:.2f}×"],
         ["scipy eigsh twice", seconds_text(times.scipy_seconds), "1×"],
     ]
-    label = f"{times.basis} + {times.descriptors} eigenpairs, n = {times.vertices:,}"
+    label = f"{times.basis} + {times.scale_invariant} eigenpairs, n = {times.vertices:,}"
     return markdown_table([label, "time", "faster than scipy"], rows)

@@ -33,10 +33,10 @@ QUICK_DENSE_SIZE = 1000
 
 @dataclass(frozen=True)
 class ProblemSize:
-    """k basis functions, d descriptors, and rank r of the distance factors (half the number of samples N)."""
+    """k basis functions, d scale-invariant ones, and rank r of the distance factors (half the number of samples)."""
 
     basis: int = 120
-    descriptors: int = 352
+    scale_invariant: int = 352
     rank: int = 50
 
 
@@ -113,7 +113,7 @@ def dense_operations(count: int, size: ProblemSize) -> float:
 def loss_table(times: LossTimes) -> str:
     """Return the Markdown table of a measurement."""
     size = times.size
-    label = f"k = {size.basis}, d = {size.descriptors}, N = {2 * size.rank}"
+    label = f"k = {size.basis}, d = {size.scale_invariant}, N = {2 * size.rank}"
     rows = [
         [f"value and gradient, n = {count:,}, {label}", seconds_text(seconds), _ratio_text(times, count)]
         for count, seconds in zip(times.vertices, times.seconds, strict=True)
@@ -154,8 +154,8 @@ def synthetic_problem(
     # One side serves as both shapes: that halves the memory and changes no operation.
     side = ShapeData(
         basis=rng.standard_normal((count, size.basis)),
-        descriptors=rng.standard_normal((count, size.descriptors)),
-        projection=rng.standard_normal((size.basis, size.descriptors)),
+        scale_invariant=rng.standard_normal((count, size.scale_invariant)),
+        projection=rng.standard_normal((size.basis, size.scale_invariant)),
         loss_weights=weights,
         soft_weights=weights,
         normal=None,
@@ -165,8 +165,10 @@ def synthetic_problem(
     )
     factors = SampledFactors(np.arange(chosen), np.full(chosen, 1.0 / chosen), left[:chosen], core + core.T)
     options = AlignmentOptions()
-    problem = Objective(side, side, factors, funnel_band(size.descriptors, options), backend, options, AlignmentRules())
-    rotation = np.eye(size.descriptors)
+    problem = Objective(
+        side, side, factors, funnel_band(size.scale_invariant, options), backend, options, AlignmentRules()
+    )
+    rotation = np.eye(size.scale_invariant)
     fixed = problem.fix(rotation, rng.permutation(count), options.weight)
     return problem, fixed, problem.pack(rotation) + 0.01 * rng.standard_normal(problem.band.count)
 

@@ -179,10 +179,10 @@ def _with_signs_of(source: Shape, target: Shape, source_of_target: NDArray[np.in
 
     from clalign.evaluation.spectral import true_rotation
 
-    count = min(source.descriptors.count, target.descriptors.count)
-    rotation = true_rotation(source.descriptors.functions[:, :count], target.descriptors, source_of_target)
+    count = min(source.scale_invariant.count, target.scale_invariant.count)
+    rotation = true_rotation(source.scale_invariant.functions[:, :count], target.scale_invariant, source_of_target)
     signs = np.where(np.diagonal(rotation) < 0, -1.0, 1.0)
-    return replace(source, descriptors=source.descriptors.head(count, signs))
+    return replace(source, scale_invariant=source.scale_invariant.head(count, signs))
 
 
 def uninterrupted(result: Correspondence) -> Correspondence:

@@ -49,8 +49,10 @@ def _funnel(slope: float, offset: int) -> Setting:
     return Setting(f"a = {slope}, b = {offset}", changes)
 
 
-def _sizes(descriptors: int, basis: int) -> Setting:
-    return Setting(f"d = {descriptors}, k = {basis}", {"spectrum.descriptors": descriptors, "spectrum.basis": basis})
+def _sizes(scale_invariant: int, basis: int) -> Setting:
+    return Setting(
+        f"d = {scale_invariant}, k = {basis}", {"spectrum.scale_invariant": scale_invariant, "spectrum.basis": basis}
+    )
 
 
 def _metric(label: str, name: str) -> Setting:
@@ -83,7 +85,7 @@ STUDIES: dict[str, Study] = {
         ),
     ),
     "sizes": Study(
-        "d descriptors and k functions of C",
+        "d scale-invariant eigenfunctions and k functions of C",
         tuple(
             _sizes(d, k) for d, k in ((50, 120), (100, 120), (200, 120), (352, 120), (352, 60), (352, 30), (352, 200))
         ),

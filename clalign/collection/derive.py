@@ -34,16 +34,16 @@ def derived_correspondence(
     source, target = equally_smoothed(source, target, options.spectrum)
     with clock.stage("refinement"):
         maps = refined_maps(source, target, functional, options, backend)
-    count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
-    descriptors = source.descriptors.head(count), target.descriptors.head(count)
+    count = min(options.spectrum.scale_invariant, source.scale_invariant.count, target.scale_invariant.count)
+    scale_invariant = source.scale_invariant.head(count), target.scale_invariant.head(count)
     with clock.stage("read-out"):
         # As many steps as a match makes before and after its optimisation.
         steps = steps_before_alignment(options) + options.readout.steps
-        spectra = BoundSpectra.of(*descriptors, backend)
+        spectra = BoundSpectra.of(*scale_invariant, backend)
         maps = two_way_steps(spectra, maps, steps, (source.order, target.order), backend)
     with clock.stage("start of R"):
         band, one_sided = funnel_band(count, options.alignment), options.alignment.sides == "one"
-        start = least_squares_start(*descriptors, maps, band, backend, one_sided=one_sided)
+        start = least_squares_start(*scale_invariant, maps, band, backend, one_sided=one_sided)
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
@@ -53,8 +53,8 @@ def derived_correspondence(
         rotation=start.rotation,
         source_basis=source.basis.head(max(len(functional), options.spectrum.basis)),
         target_basis=target.basis.head(max(len(functional), options.spectrum.basis)),
-        source_descriptors=descriptors[0].head(count, start.signs),
-        target_descriptors=descriptors[1],
+        source_scale_invariant=scale_invariant[0].head(count, start.signs),
+        target_scale_invariant=scale_invariant[1],
         history=(),
         losses={},
         confidence=math.nan,

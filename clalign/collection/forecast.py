@@ -66,8 +66,8 @@ def needs(members: Sequence[Member], pairs: int, options: Options, *, keep: str,
     if pages:
         pair += PAGE_BYTES + 2 * PAGE_BYTES_PER_VERTEX * mean
     if keep == "full":
-        pair += 2 * mean * (4 * (options.spectrum.basis + options.spectrum.descriptors) + 64)
-        pair += 8 * (options.spectrum.descriptors**2 + options.spectrum.basis**2)
+        pair += 2 * mean * (4 * (options.spectrum.basis + options.spectrum.scale_invariant) + 64)
+        pair += 8 * (options.spectrum.scale_invariant**2 + options.spectrum.basis**2)
     return Needs(
         shape=shape,
         cache=sum(shape_bytes(vertices * part, options) for part in share),
@@ -79,7 +79,7 @@ def needs(members: Sequence[Member], pairs: int, options: Options, *, keep: str,
 
 def shape_bytes(vertices: float, options: Options) -> float:
     """Return the bytes of a prepared shape: spectra in double precision, distances of the samples."""
-    functions = max(options.spectrum.basis, options.spectrum.refinement) + options.spectrum.descriptors
+    functions = max(options.spectrum.basis, options.spectrum.refinement) + options.spectrum.scale_invariant
     samples = min(options.geodesics.search_samples, vertices)
     return vertices * (8 * functions + 4 * options.geodesics.factor_samples + 16) + 8 * samples**2
 

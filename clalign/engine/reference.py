@@ -2,7 +2,7 @@
 
 Arrays are the backend's own, row-major, of its real type or int32; all have ``shape``, ``dtype`` and ``reshape``. With
 ``out`` given an operation writes there and returns it. Shapes use the project's symbols: n vertices, k basis functions,
-d descriptors, r columns of a low-rank distance factor.
+d scale-invariant eigenfunctions, r columns of a low-rank distance factor.
 """
 
 from __future__ import annotations

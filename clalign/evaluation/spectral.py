@@ -80,7 +80,7 @@ def alignment_errors(
 
 def spectral_errors(correspondence: Correspondence, maps: PointMaps) -> SpectralErrors:
     """Return err(k) of a match before and after alignment, by true maps between its meshes."""
-    source, target = as_computed(correspondence.source_descriptors), correspondence.target_descriptors.functions
+    source, target = as_computed(correspondence.source_scale_invariant), correspondence.target_scale_invariant.functions
     count = len(correspondence.rotation)
     source, target = source[:, :count], target[:, :count]
     mass = correspondence.source_basis.mass
@@ -118,7 +118,7 @@ def recovered_rotation(correspondence: Correspondence) -> NDArray[np.float64]:
     (Φ̃ S) R ≈ Ψ̃_π Rᵀ with the absorbed signs S and a nearly orthogonal R means C̃ = S R R (Eq. 19); for a one-sided match
     it is S C̃ (Eq. 18).
     """
-    absorbed = correspondence.source_descriptors
+    absorbed = correspondence.source_scale_invariant
     signs = np.sign(np.einsum("nd,nd->d", absorbed.functions, as_computed(absorbed)))[: len(correspondence.rotation)]
     rotation = correspondence.rotation
     if correspondence.options.alignment.sides == "both":

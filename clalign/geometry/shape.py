@@ -49,7 +49,7 @@ CURVATURE_QUANTILE = 0.98
 
 @dataclass(frozen=True)
 class Shape:
-    """A mesh of unit area with its operators, spectra, distances and descriptors.
+    """A mesh of unit area with its operators, spectra, distances and scale-invariant eigenfunctions.
 
     Attributes
     ----------
@@ -57,9 +57,9 @@ class Shape:
     stiffness : (n, n) cotangent matrix.
     mass : (n,) vertex areas, summing to 1.
     curvature : (n,) Gaussian curvature.
-    smoothing : diffusion time of the curvature in the metric of the descriptors, in units of area.
+    smoothing : diffusion time of the curvature in the scale-invariant metric, in units of area.
     basis : Laplace–Beltrami eigenfunctions.
-    descriptors : scale-invariant eigenfunctions; their own mass is the conformal factor times `mass`.
+    scale_invariant : scale-invariant eigenfunctions; their own mass is the conformal factor times `mass`.
     geodesics : distances from farthest-point samples.
     factors : low-rank factors of all distances.
     orientation : (p, p, p) triple products of the first p ≤ 30 functions of the basis.
@@ -73,7 +73,7 @@ class Shape:
     curvature: NDArray[np.float64]
     smoothing: float
     basis: Spectrum
-    descriptors: Spectrum
+    scale_invariant: Spectrum
     geodesics: Geodesics
     factors: DistanceFactors
     orientation: NDArray[np.float64]
@@ -145,7 +145,7 @@ def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | No
         ]
 
 
-def with_descriptors(
+def with_scale_invariant(
     shape: Shape, options: SpectrumOptions, cache: ShapeCache | None = None, *, smoothing: float | None = None
 ) -> Shape:
     """Return a shape whose scale-invariant eigenfunctions are those of other options, all else kept.
@@ -155,8 +155,8 @@ def with_descriptors(
     operators = _Operators(shape.stiffness, shape.mass, shape.curvature)
     time = _smoothing(shape.mesh, operators, options) if smoothing is None else smoothing
     with single_threaded_blas():
-        descriptors = _descriptors(shape.mesh, operators, shape.basis, options, time, cache)
-    return dataclasses.replace(shape, descriptors=descriptors, smoothing=time)
+        scale_invariant = _scale_invariant(shape.mesh, operators, shape.basis, options, time, cache)
+    return dataclasses.replace(shape, scale_invariant=scale_invariant, smoothing=time)
 
 
 def equally_smoothed(
@@ -165,7 +165,7 @@ def equally_smoothed(
     """Return both shapes with the smoothing of the noisier one: eigenfunctions of different metrics do not match."""
     time = max(source.smoothing, target.smoothing)
     first, second = (
-        shape if shape.smoothing == time else with_descriptors(shape, options, cache, smoothing=time)
+        shape if shape.smoothing == time else with_scale_invariant(shape, options, cache, smoothing=time)
         for shape in (source, target)
     )
     return first, second
@@ -186,7 +186,7 @@ def _spectra(
         lambda: solve(operators.stiffness, mass, count, processor_count()),
     )
     smoothing = _smoothing(mesh, operators, options)
-    return operators, smoothing, basis, _descriptors(mesh, operators, basis, options, smoothing, cache)
+    return operators, smoothing, basis, _scale_invariant(mesh, operators, basis, options, smoothing, cache)
 
 
 def _smoothing(mesh: Mesh, operators: _Operators, options: SpectrumOptions) -> float:
@@ -197,7 +197,7 @@ def _smoothing(mesh: Mesh, operators: _Operators, options: SpectrumOptions) -> f
     return options.smoothing if noisy else 0.0
 
 
-def _descriptors(
+def _scale_invariant(
     mesh: Mesh,
     operators: _Operators,
     basis: Spectrum,
@@ -209,11 +209,11 @@ def _descriptors(
         curvature = diffused(operators.curvature, operators.mass, operators.stiffness, smoothing)
         factor = conformal_factor(curvature, operators.mass, options, basis)
         mass = operators.mass * factor
-        return solve(operators.stiffness, mass, options.descriptors, processor_count())
+        return solve(operators.stiffness, mass, options.scale_invariant, processor_count())
 
-    names = ("descriptors", "metric", "xi", "clamp", "epsilon")
+    names = ("scale_invariant", "metric", "xi", "clamp", "epsilon")
     values = {name: getattr(options, name) for name in names} | {"basis": basis.count, "smoothing": smoothing}
-    return _stored(cache, content_key("descriptors", _surface(mesh), values), Spectrum, compute)
+    return _stored(cache, content_key("scale_invariant", _surface(mesh), values), Spectrum, compute)
 
 
 def _distances(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
@@ -254,7 +254,7 @@ def _shape(
     operators: _Operators,
     smoothing: float,
     basis: Spectrum,
-    descriptors: Spectrum,
+    scale_invariant: Spectrum,
     geodesics: Geodesics,
 ) -> Shape:
     mean = mean_curvature(mesh.vertices, mesh.faces, operators.mass, operators.stiffness)
@@ -265,7 +265,7 @@ def _shape(
         curvature=operators.curvature,
         smoothing=smoothing,
         basis=basis,
-        descriptors=descriptors,
+        scale_invariant=scale_invariant,
         geodesics=geodesics,
         factors=low_rank(geodesics, operators.mass),
         orientation=orientation_tensor(mesh.faces, basis.functions[:, :ORIENTATION_FUNCTIONS]),

@@ -37,7 +37,7 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
     confidence = float("nan") if found is None else 1.0 - float(np.exp(-found.margin))
     size = len(functional_map)
     points = state.points
-    source_descriptors, target_descriptors = state.scale_invariant(required(state.start).signs)
+    source_scale_invariant, target_scale_invariant = state.scale_invariant(required(state.start).signs)
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
@@ -47,8 +47,8 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
         rotation=aligned.rotation,
         source_basis=source.basis.head(size),
         target_basis=target.basis.head(size),
-        source_descriptors=source_descriptors,
-        target_descriptors=target_descriptors,
+        source_scale_invariant=source_scale_invariant,
+        target_scale_invariant=target_scale_invariant,
         history=aligned.history,
         losses=aligned.losses,
         confidence=confidence,

@@ -103,10 +103,10 @@ def start_rotation(state: MatchState, backend: Backend, report: Report) -> Itera
     steps = steps_before_alignment(options)
     if steps:
         low = max(min(options.rules.refinement.closed_form, band.size), band.size // 2)
-        spectra = BoundSpectra.of(source.descriptors.head(low), target.descriptors.head(low), backend)
+        spectra = BoundSpectra.of(source.scale_invariant.head(low), target.scale_invariant.head(low), backend)
         maps = two_way_steps(spectra, maps, steps, (source.order, target.order), backend)
     one_sided = options.alignment.sides == "one"
-    spectra_pair = source.descriptors, target.descriptors
+    spectra_pair = source.scale_invariant, target.scale_invariant
     yield replace(state, start=least_squares_start(*spectra_pair, maps, band, backend, one_sided=one_sided))
 
 
@@ -138,8 +138,8 @@ def read_out(state: MatchState, backend: Backend, report: Report) -> Iterator[Ma
     """Take the maps of R through the last two-way steps, and, if asked, to points in faces."""
     objective, aligned, maps = required(state.objective), required(state.aligned), required(state.maps)
     spectra = BoundSpectra(
-        *objective.descriptors,
-        *(backend.array(side.mass) for side in (state.source.descriptors, state.target.descriptors)),
+        *objective.scale_invariant,
+        *(backend.array(side.mass) for side in (state.source.scale_invariant, state.target.scale_invariant)),
     )
     embedded = None
     for step in range(state.steps, state.options.readout.steps):
@@ -175,8 +175,8 @@ def refined_maps(
     """Return the maps between all vertices that a functional map of the search leads to, refined as the options say."""
     size, rules = options.spectrum.refinement, options.rules
     if options.readout.refine == "patches":
-        count = min(options.spectrum.descriptors, source.descriptors.count, target.descriptors.count)
-        high = source.descriptors.head(count), target.descriptors.head(count)
+        count = min(options.spectrum.scale_invariant, source.scale_invariant.count, target.scale_invariant.count)
+        high = source.scale_invariant.head(count), target.scale_invariant.head(count)
         return patchwise_maps(source, target, high, functional, size, rules.refinement, backend)
     if options.readout.refine == "zoomout":
         functional = best_grown_map(source, target, functional, size, rules, backend)
@@ -192,7 +192,7 @@ def bind(
     source: Shape, target: Shape, scale_invariant: tuple[Spectrum, Spectrum], backend: Backend, options: Options
 ) -> Objective:
     """Return the objective of a pair, for as many eigenfunctions as `scale_invariant` has."""
-    # With more functions than descriptors, α αᵀ has no inverse.
+    # With more functions than scale-invariant ones, α αᵀ has no inverse.
     size = min(options.spectrum.basis, source.basis.count, target.basis.count, scale_invariant[0].count)
     x, y = (
         shape_data(shape, size, spectrum.functions, options.alignment)

@@ -84,7 +84,9 @@ class MatchState:
     @property
     def count(self) -> int:
         """Number d of scale-invariant eigenfunctions that R aligns."""
-        return min(self.options.spectrum.descriptors, self.source.descriptors.count, self.target.descriptors.count)
+        return min(
+            self.options.spectrum.scale_invariant, self.source.scale_invariant.count, self.target.scale_invariant.count
+        )
 
     @property
     def band(self) -> Band:
@@ -93,7 +95,7 @@ class MatchState:
 
     def scale_invariant(self, signs: NDArray[np.float64] | None = None) -> tuple[Spectrum, Spectrum]:
         """Return the d eigenfunctions of both shapes, with signs absorbed into the source's."""
-        return self.source.descriptors.head(self.count, signs), self.target.descriptors.head(self.count)
+        return self.source.scale_invariant.head(self.count, signs), self.target.scale_invariant.head(self.count)
 
     def cut_short(self) -> MatchState:
         """Return the state with options that leave out every step which has not been made yet."""

@@ -100,7 +100,7 @@ def surface_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
     for side in ("source", "target"):
         mesh: Mesh = getattr(correspondence, side)
-        basis, invariant = getattr(correspondence, f"{side}_basis"), getattr(correspondence, f"{side}_descriptors")
+        basis, invariant = getattr(correspondence, f"{side}_basis"), getattr(correspondence, f"{side}_scale_invariant")
         arrays[f"{side}_vertices"], arrays[f"{side}_faces"] = mesh.vertices, mesh.faces
         arrays[f"{side}_file_index"], arrays[f"{side}_mass"] = mesh.file_index, basis.mass
         arrays[f"{side}_eigenvalues"], arrays[f"{side}_functions"] = basis.eigenvalues, basis.functions

@@ -52,7 +52,7 @@ def test_no_round_ends_above_its_start(
 def test_embeddings_on_the_backend_are_those_of_the_host(bind_small: Callable[..., Bound], sides: str) -> None:
     problem, rotation, _ = bind_small({"alignment.sides": sides})
     inside = problem.unpack(problem.pack(rotation))
-    source, target = problem.source.descriptors, problem.target.descriptors
+    source, target = problem.source.scale_invariant, problem.target.scale_invariant
     on_host = source @ inside, target if sides == "one" else target @ inside.T
     for made, expected in zip(problem.embeddings(inside), on_host, strict=True):
         np.testing.assert_allclose(problem.backend.numpy(made), expected, rtol=0, atol=1e-5 * np.abs(expected).max())

@@ -10,7 +10,7 @@ from prepared import MIDDLE, PreparedPair
 from clalign.alignment.band import funnel_band
 from clalign.alignment.metric import choose_metric
 from clalign.engine import Reference
-from clalign.geometry.shape import with_descriptors
+from clalign.geometry.shape import with_scale_invariant
 from clalign.maps.point_maps import PointMaps
 from clalign.rules import AlignmentRules
 
@@ -22,14 +22,14 @@ def chosen(pair: PreparedPair, maps: PointMaps, rules: AlignmentRules | None = N
     source, _, exponent = choose_metric(
         pair.source, pair.target, maps, band, MIDDLE.spectrum, rules or AlignmentRules(), Reference()
     )
-    return exponent, source.descriptors.eigenvalues
+    return exponent, source.scale_invariant.eigenvalues
 
 
 def test_an_isometry_bears_the_largest_exponent(middle: PreparedPair) -> None:
     exponent, eigenvalues = chosen(middle, middle.truth)
     assert exponent == EXPONENTS[0]
-    expected = with_descriptors(middle.source, dataclasses.replace(MIDDLE.spectrum, metric="power", xi=exponent))
-    np.testing.assert_array_equal(eigenvalues, expected.descriptors.eigenvalues)
+    expected = with_scale_invariant(middle.source, dataclasses.replace(MIDDLE.spectrum, metric="power", xi=exponent))
+    np.testing.assert_array_equal(eigenvalues, expected.scale_invariant.eigenvalues)
 
 
 def test_a_map_without_sense_gets_the_smallest(middle: PreparedPair, rng: np.random.Generator) -> None:

@@ -113,7 +113,7 @@ def test_the_form_of_the_soft_map_is_the_one_of_fewer_operations(
     # With 50 samples, 16 functions and rank 20: 2 · 136 · 20 operations a row against 162 · (3 · 16 + 2 · 20).
     assert evaluation_cost(50, 162, 16, 20) == (50 * 2 * 136 * 20, 50 * 162 * (3 * 16 + 2 * 20))
     assert isinstance(soft_map_of(bound(small, SMALL)), MomentsSoftMap)
-    many = SMALL.replace({"spectrum.basis": 50, "spectrum.refinement": 50, "spectrum.descriptors": 60})
+    many = SMALL.replace({"spectrum.basis": 50, "spectrum.refinement": 50, "spectrum.scale_invariant": 60})
     prepared = prepared_pair(tiny_pair(), many)
     cycle = bound(prepared, many.replace({"alignment.cycle": True})).problem.distances
     assert isinstance(cycle, CycleLoss)
@@ -198,7 +198,7 @@ def human_options() -> Options:
         {
             "spectrum.basis": 60,
             "spectrum.refinement": 60,
-            "spectrum.descriptors": 80,
+            "spectrum.scale_invariant": 80,
             "geodesics.factor_samples": 100,
             "geodesics.search_samples": 300,
             "alignment.samples": 300,
@@ -257,8 +257,8 @@ def test_alignment_term_is_equation_21(bind_small: Callable[..., Bound], rng: np
     problem = pair.problem
     fixed, x = started(pair, rng)
     rotation = problem.unpack(x)
-    turned = problem.source.descriptors @ rotation
-    carried = problem.target.descriptors[pair.truth.target_of_source] @ rotation.T
+    turned = problem.source.scale_invariant @ rotation
+    carried = problem.target.scale_invariant[pair.truth.target_of_source] @ rotation.T
     mass = problem.source.loss_weights[:, None]
     expected = np.sum(mass * (turned - carried) ** 2) / np.sum(mass * carried**2)
     assert problem.value_and_gradient(x, fixed).terms["align"] == pytest.approx(expected, rel=1e-9)
@@ -289,7 +289,7 @@ def test_shapes_are_left_as_they_were(middle: PreparedPair) -> None:
     """Values flow one way: evaluating changes nothing that was passed in."""
 
     def fingerprint(shape: Shape) -> tuple[float, ...]:
-        return (float(np.abs(shape.basis.functions).sum()), float(np.abs(shape.descriptors.functions).sum()))
+        return (float(np.abs(shape.basis.functions).sum()), float(np.abs(shape.scale_invariant.functions).sum()))
 
     before = fingerprint(middle.source), fingerprint(middle.target)
     pair = bound(middle, MIDDLE)
@@ -300,7 +300,7 @@ def test_shapes_are_left_as_they_were(middle: PreparedPair) -> None:
 
 def test_no_more_functions_are_used_than_there_are_descriptors(bind_small: Callable[..., Bound]) -> None:
     """Otherwise α αᵀ is singular, and single precision turns the least squares into noise."""
-    problem, rotation, truth = bind_small({"spectrum.basis": 16, "spectrum.descriptors": 12})
+    problem, rotation, truth = bind_small({"spectrum.basis": 16, "spectrum.scale_invariant": 12})
     assert problem.source.basis.shape[1] == problem.target.basis.shape[1] == 12
     fixed = problem.fix(rotation, truth.target_of_source, 50.0)
     assert np.isfinite(problem.value_and_gradient(problem.pack(rotation), fixed).gradient).all()

@@ -54,8 +54,8 @@ def test_samples_spread_over_the_surface(middle: PreparedPair) -> None:
 def test_projection_and_weights(middle: PreparedPair, weights: str) -> None:
     shape = middle.source
     options = MIDDLE.replace({"alignment.weights": weights}).alignment
-    side = shape_data(shape, 30, shape.descriptors.functions[:, :40], options)
-    expected = shape.basis.functions[:, :30].T @ np.diag(shape.mass) @ shape.descriptors.functions[:, :40]
+    side = shape_data(shape, 30, shape.scale_invariant.functions[:, :40], options)
+    expected = shape.basis.functions[:, :30].T @ np.diag(shape.mass) @ shape.scale_invariant.functions[:, :40]
     np.testing.assert_allclose(side.projection, expected, atol=1e-12)
     assert side.loss_weights.sum() == pytest.approx(1.0)
     normal = np.eye(30) if side.normal is None else side.normal

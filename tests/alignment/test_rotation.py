@@ -133,11 +133,11 @@ def test_the_least_squares_start_aligns(middle: PreparedPair, one_sided: bool) -
     source, target, truth = middle
     count = 40
     band = funnel_band(count, AlignmentOptions())
-    start = least_squares_start(source.descriptors, target.descriptors, truth, band, HOST, one_sided=one_sided)
+    start = least_squares_start(source.scale_invariant, target.scale_invariant, truth, band, HOST, one_sided=one_sided)
     assert not start.rotation[~band_mask(band)].any()
-    aligned = source.descriptors.functions[:, :count] * start.signs @ start.rotation
-    other = target.descriptors.functions[:, :count]
+    aligned = source.scale_invariant.functions[:, :count] * start.signs @ start.rotation
+    other = target.scale_invariant.functions[:, :count]
     found = point_maps(aligned, other if one_sided else other @ start.rotation.T)
     assert (found.target_of_source == truth.target_of_source).mean() > 0.8
-    before = point_maps(source.descriptors.functions[:, :count], other)
+    before = point_maps(source.scale_invariant.functions[:, :count], other)
     assert (before.target_of_source == truth.target_of_source).mean() < 0.2

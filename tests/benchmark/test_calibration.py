@@ -48,7 +48,7 @@ def test_coefficients_are_not_negative_and_what_was_not_measured_does_not_count(
 
 def test_a_match_is_measured_with_what_is_drawn_of_it() -> None:
     problem = generated_pair(300)
-    changes = {"engine.backend": "reference", "spectrum.descriptors": 40, "search.method": "random"}
+    changes = {"engine.backend": "reference", "spectrum.scale_invariant": 40, "search.method": "random"}
     found = measured("generated", (problem.source, problem.target), changes, draw)
     assert found.vertices == (300, 300)
     assert list(found.work) == ["start", "prepare", "alignment", "result"]

@@ -92,7 +92,7 @@ def test_what_is_taken_from_the_truth(tmp_path: Path) -> None:
     pair = animals(tmp_path / "egg")[0].pairs[0].load()
     quick = {
         "alignment.outer_iterations": 0,
-        "spectrum.descriptors": 24,
+        "spectrum.scale_invariant": 24,
         "spectrum.basis": 16,
         "spectrum.refinement": 16,
     }
@@ -100,7 +100,7 @@ def test_what_is_taken_from_the_truth(tmp_path: Path) -> None:
         align_method(text, {**quick, "engine.backend": "reference"}).correspondence(pair)
         for text in ("paper", "paper-mirrored", "paper-isometric")
     )
-    same, other = (result.source_descriptors.functions for result in (plain, signs))
+    same, other = (result.source_scale_invariant.functions for result in (plain, signs))
     assert set(np.sign(np.einsum("nd,nd->d", same, other))) == {-1.0, 1.0}
     np.testing.assert_allclose(np.abs(same), np.abs(other))
     assert not np.array_equal(plain.distortion, isometric.distortion)

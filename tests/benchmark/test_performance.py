@@ -37,7 +37,7 @@ QUICK = {
     "search.method": "random",
     "alignment.outer_iterations": 1,
     "alignment.iterations": 3,
-    "spectrum.descriptors": 24,
+    "spectrum.scale_invariant": 24,
     "spectrum.basis": 16,
     "spectrum.refinement": 16,
     "geodesics.search_samples": 60,
@@ -116,7 +116,7 @@ def test_the_dense_evaluation_is_what_the_engine_computes(dense_case) -> None:
 
 
 def test_losses_are_timed_at_every_size() -> None:
-    size = losses.ProblemSize(basis=8, descriptors=12, rank=5)
+    size = losses.ProblemSize(basis=8, scale_invariant=12, rank=5)
     times = losses.measure_losses(Reference(np.float32), (60, 240), 240, size, repeats=2)
     assert times.vertices == (60, 240)
     assert min(times.seconds) > 0
@@ -128,8 +128,8 @@ def test_losses_are_timed_at_every_size() -> None:
 
 
 def test_spectra_are_compared_at_the_same_counts() -> None:
-    times = measure_spectra(generated_pair(700).source, basis=10, descriptors=20, repeats=1)
-    assert (times.vertices, times.basis, times.descriptors) == (700, 10, 20)
+    times = measure_spectra(generated_pair(700).source, basis=10, scale_invariant=20, repeats=1)
+    assert (times.vertices, times.basis, times.scale_invariant) == (700, 10, 20)
     assert times.ratio == times.scipy_seconds / times.seconds > 0
     assert "10 + 20 eigenpairs, n = 700" in spectra_table(times)
 

@@ -119,7 +119,7 @@ def test_a_match_that_was_cut_short_is_no_row(
     quick = {
         "search.method": "random",
         "alignment.outer_iterations": 0,
-        "spectrum.descriptors": 24,
+        "spectrum.scale_invariant": 24,
         "spectrum.basis": 16,
     }
     options = Options().replace({**quick, "spectrum.refinement": 16, "engine.backend": "reference"})

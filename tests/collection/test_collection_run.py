@@ -125,8 +125,8 @@ def test_resume_does_only_what_is_missing(whole: Collection, folder: Path, numbe
     after = times(again)
     assert {names for names in before if before[names] != after[names]} == {("s1", "s2")}
     np.testing.assert_array_equal(again.maps("s1", "s2").target_of_source, maps.target_of_source)
-    with pytest.raises(OptionError, match=r"other values of spectrum.descriptors"):
-        match_collection(shapes, whole.folder, OPTIONS.replace({"spectrum.descriptors": 41}), resume=True)
+    with pytest.raises(OptionError, match=r"other values of spectrum.scale_invariant"):
+        match_collection(shapes, whole.folder, OPTIONS.replace({"spectrum.scale_invariant": 41}), resume=True)
 
 
 def test_star_gives_all_maps_and_a_wrong_one_is_repaired(

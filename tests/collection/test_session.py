@@ -37,6 +37,6 @@ def test_a_clean_shape_is_smoothed_for_noisy_partners_once(
     monkeypatch.setattr(preparation, "solve", forbidden)
     again = Session(settings)
     for made, found in zip(first, again.pair(clean, noisy), strict=True):
-        np.testing.assert_array_equal(made.descriptors.functions, found.descriptors.functions)
+        np.testing.assert_array_equal(made.scale_invariant.functions, found.scale_invariant.functions)
     assert again.shape(clean).smoothing == 0.0
     assert again.loaded == 2 <= HELD_SHAPES

@@ -13,7 +13,7 @@ OPTIONS = Options().replace(
     {
         "spectrum.basis": 20,
         "spectrum.refinement": 20,
-        "spectrum.descriptors": 20,
+        "spectrum.scale_invariant": 20,
         "geodesics.search_samples": 80,
         "geodesics.factor_samples": 60,
     }

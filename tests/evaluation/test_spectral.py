@@ -132,7 +132,7 @@ OPTIONS = Options().replace(
     {
         "spectrum.basis": 40,
         "spectrum.refinement": 60,
-        "spectrum.descriptors": 40,
+        "spectrum.scale_invariant": 40,
         "geodesics.search_samples": 300,
         "geodesics.factor_samples": 40,
         "search.method": "tree",
@@ -148,12 +148,14 @@ def test_the_method_recovers_a_planted_rotation(bumpy_pair: Pair) -> None:
     source_mesh = mesh_from_arrays(*bumpy_pair.source, name="source")
     target_mesh = mesh_from_arrays(*bumpy_pair.target, name="target")
     source, target = prepare_pair(source_mesh, target_mesh, OPTIONS)
-    own = source.descriptors
+    own = source.scale_invariant
     turned = Spectrum(own.eigenvalues, planted(own.functions, 3, 45.0), own.mass)
-    result = match_shapes(replace(source, descriptors=turned), target, open_backend(OPTIONS.engine), OPTIONS)
+    result = match_shapes(replace(source, scale_invariant=turned), target, open_backend(OPTIONS.engine), OPTIONS)
     maps = true_maps(source_mesh, target_mesh, Truth.from_index(bumpy_pair.truth))
     np.testing.assert_array_equal(maps.target_of_source, bumpy_pair.truth)
-    true = true_rotation(as_computed(result.source_descriptors), result.target_descriptors, maps.source_of_target)
+    true = true_rotation(
+        as_computed(result.source_scale_invariant), result.target_scale_invariant, maps.source_of_target
+    )
     wanted, found = pair_rotation(true, 3), pair_rotation(recovered_rotation(result), 3)
     assert min(abs(abs(wanted.angle) % 90 - 45), 45) < 15
     assert found.reflected == wanted.reflected
@@ -166,7 +168,7 @@ def test_the_method_recovers_a_planted_rotation(bumpy_pair: Pair) -> None:
 
 
 def test_signs_folded_into_a_result_are_taken_out(true_correspondence: Correspondence) -> None:
-    folded = true_correspondence.source_descriptors
+    folded = true_correspondence.source_scale_invariant
     np.testing.assert_array_equal(
         as_computed(folded), as_computed(Spectrum(folded.eigenvalues, -folded.functions, folded.mass))
     )

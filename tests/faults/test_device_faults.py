@@ -215,7 +215,7 @@ def test_errors_of_the_device_stay_what_they_are_in_python(
 
     failing_launch(monkeypatch, 2)
     options = Options().replace(
-        {"search.method": "random", "alignment.outer_iterations": 1, "spectrum.descriptors": 24}
+        {"search.method": "random", "alignment.outer_iterations": 1, "spectrum.scale_invariant": 24}
     )
     with pytest.raises(DeviceError, match="OUT_OF_RESOURCES") as caught:
         clalign.match(*pair, options)

@@ -86,7 +86,12 @@ def test_the_same_bit_for_bit_from_one_process_for_all_meshes(bumpy: Surface) ->
 def test_preparation_is_the_same_bit_for_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = analytic.as_unit_mesh(analytic.bumpy(3), "bumpy")
     options = Options().replace(
-        {"spectrum.basis": 20, "spectrum.refinement": 30, "spectrum.descriptors": 40, "geodesics.search_samples": 50}
+        {
+            "spectrum.basis": 20,
+            "spectrum.refinement": 30,
+            "spectrum.scale_invariant": 40,
+            "geodesics.search_samples": 50,
+        }
     )
     with monkeypatch.context() as patch:
         patch.setattr(heat_process, "processor_count", lambda: 1)
@@ -177,7 +182,12 @@ heat_server.main()"""
         analytic.as_unit_mesh(analytic.bumpy(3), "bumpy"),
         analytic.as_unit_mesh(analytic.torus(30, 15, 0.4), "t"),
     ]
-    few = {"spectrum.basis": 20, "spectrum.refinement": 30, "spectrum.descriptors": 40, "geodesics.search_samples": 50}
+    few = {
+        "spectrum.basis": 20,
+        "spectrum.refinement": 30,
+        "spectrum.scale_invariant": 40,
+        "geodesics.search_samples": 50,
+    }
     monkeypatch.setattr(heat_process, "PROGRAM", ANSWER_FIRST + meeting)
     monkeypatch.setattr(shape, "processor_count", lambda: 2)
     shapes = shape.prepare_all(meshes, Options().replace(few))

@@ -1,4 +1,4 @@
-"""What `prepare` returns: descriptors known on spheres, and the same bits alone, in pairs and from the cache."""
+"""What `prepare` returns: eigenfunctions known on spheres, and the same bits alone, in pairs and from the cache."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import threadpoolctl
 
 from clalign.geometry import shape as shape_module
 from clalign.geometry.cache import ShapeCache
-from clalign.geometry.shape import Shape, equally_smoothed, prepare, prepare_all, prepare_pair, with_descriptors
+from clalign.geometry.shape import Shape, equally_smoothed, prepare, prepare_all, prepare_pair, with_scale_invariant
 from clalign.geometry.workers import single_threaded_blas
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
 from clalign.options import Options, SpectrumOptions
@@ -25,7 +25,7 @@ OPTIONS = Options().replace(
     {
         "spectrum.basis": 40,
         "spectrum.refinement": 60,
-        "spectrum.descriptors": 80,
+        "spectrum.scale_invariant": 80,
         "geodesics.search_samples": 60,
         "geodesics.factor_samples": 30,
     }
@@ -63,7 +63,7 @@ def assert_same(first: Shape, second: Shape) -> None:
 def test_sizes_and_finiteness(bumpy: Mesh, bumpy_shape: Shape) -> None:
     n = bumpy.n_vertices
     assert bumpy_shape.basis.functions.shape == (n, 60)
-    assert bumpy_shape.descriptors.functions.shape == (n, 80)
+    assert bumpy_shape.scale_invariant.functions.shape == (n, 80)
     assert bumpy_shape.geodesics.distances.shape == (60, 60)
     assert bumpy_shape.geodesics.rows.shape == (30, n)
     assert bumpy_shape.factors.left.shape == (n, 15)
@@ -73,14 +73,14 @@ def test_sizes_and_finiteness(bumpy: Mesh, bumpy_shape: Shape) -> None:
     for name, array in leaves(bumpy_shape):
         assert np.isfinite(array).all(), name
     assert bumpy_shape.mass.sum() == pytest.approx(1.0, rel=1e-12)
-    assert bumpy_shape.descriptors.mass.sum() == pytest.approx(1.0, rel=1e-12)
+    assert bumpy_shape.scale_invariant.mass.sum() == pytest.approx(1.0, rel=1e-12)
 
 
 def test_both_spectra_are_of_one_stiffness(bumpy_shape: Shape) -> None:
-    for spectrum in (bumpy_shape.basis, bumpy_shape.descriptors):
+    for spectrum in (bumpy_shape.basis, bumpy_shape.scale_invariant):
         energy = spectrum.functions.T @ (bumpy_shape.stiffness @ spectrum.functions)
         np.testing.assert_allclose(energy, np.diag(spectrum.eigenvalues), atol=1e-6)
-    assert not np.allclose(bumpy_shape.basis.mass, bumpy_shape.descriptors.mass)
+    assert not np.allclose(bumpy_shape.basis.mass, bumpy_shape.scale_invariant.mass)
 
 
 def test_descriptors_of_a_sphere() -> None:
@@ -145,7 +145,7 @@ def test_stored_parts_are_not_computed_again(
     # Another metric needs one decomposition, and neither the basis nor the distances.
     changed = prepare(bumpy, OPTIONS.replace({"spectrum.xi": 0.3}), cache)
     np.testing.assert_array_equal(changed.basis.functions, bumpy_shape.basis.functions)
-    assert np.abs(changed.descriptors.eigenvalues - bumpy_shape.descriptors.eigenvalues).max() > 1.0
+    assert np.abs(changed.scale_invariant.eigenvalues - bumpy_shape.scale_invariant.eigenvalues).max() > 1.0
     assert cache.info().entries == 4
 
 
@@ -175,8 +175,8 @@ def test_entries_with_other_contents_are_computed_again(
 
 
 def test_other_descriptors_for_a_prepared_shape(bumpy: Mesh, bumpy_shape: Shape) -> None:
-    changed = with_descriptors(bumpy_shape, dataclasses.replace(OPTIONS.spectrum, xi=0.15, descriptors=50))
-    expected = prepare(bumpy, OPTIONS.replace({"spectrum.xi": 0.15, "spectrum.descriptors": 50}))
+    changed = with_scale_invariant(bumpy_shape, dataclasses.replace(OPTIONS.spectrum, xi=0.15, scale_invariant=50))
+    expected = prepare(bumpy, OPTIONS.replace({"spectrum.xi": 0.15, "spectrum.scale_invariant": 50}))
     assert_same(changed, expected)
 
 
@@ -198,22 +198,24 @@ def test_a_pair_is_smoothed_as_its_noisier_mesh_asks_for(bumpy: Mesh, bumpy_shap
     clean, rough = prepare_pair(bumpy, noisy(bumpy), OPTIONS, cache)
     assert clean.smoothing == rough.smoothing == OPTIONS.spectrum.smoothing
     assert_same(clean, prepare(bumpy, OPTIONS.replace({"spectrum.noisy_below": 1.0})))
-    assert np.abs(clean.descriptors.eigenvalues - bumpy_shape.descriptors.eigenvalues).max() > 1.0
+    assert np.abs(clean.scale_invariant.eigenvalues - bumpy_shape.scale_invariant.eigenvalues).max() > 1.0
     again, _ = equally_smoothed(clean, bumpy_shape, OPTIONS.spectrum)
     assert again is clean
     # Another exponent for a pair keeps its smoothing.
-    changed = with_descriptors(clean, dataclasses.replace(OPTIONS.spectrum, xi=0.3), smoothing=clean.smoothing)
+    changed = with_scale_invariant(clean, dataclasses.replace(OPTIONS.spectrum, xi=0.3), smoothing=clean.smoothing)
     assert changed.smoothing == clean.smoothing
 
 
 @pytest.mark.parametrize("metric", ["euclidean", "regularized", "heat-kernel", "auto"])
 def test_every_metric_prepares(bumpy_shape: Shape, metric: str) -> None:
-    options = SpectrumOptions(metric=metric, basis=40, refinement=60, descriptors=80)  # type: ignore[arg-type]
-    changed = with_descriptors(bumpy_shape, options)
-    gram = changed.descriptors.functions.T @ (changed.descriptors.mass[:, None] * changed.descriptors.functions)
+    options = SpectrumOptions(metric=metric, basis=40, refinement=60, scale_invariant=80)  # type: ignore[arg-type]
+    changed = with_scale_invariant(bumpy_shape, options)
+    gram = changed.scale_invariant.functions.T @ (
+        changed.scale_invariant.mass[:, None] * changed.scale_invariant.functions
+    )
     np.testing.assert_allclose(gram, np.eye(80), atol=1e-12)
     if metric == "euclidean":
-        np.testing.assert_allclose(changed.descriptors.eigenvalues[:60], changed.basis.eigenvalues, atol=1e-6)
+        np.testing.assert_allclose(changed.scale_invariant.eigenvalues[:60], changed.basis.eigenvalues, atol=1e-6)
 
 
 def test_many_shapes_at_once(bumpy: Mesh, bumpy_shape: Shape) -> None:

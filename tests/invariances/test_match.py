@@ -25,7 +25,7 @@ OPTIONS = Options().replace(
     {
         "spectrum.basis": 40,
         "spectrum.refinement": 60,
-        "spectrum.descriptors": 80,
+        "spectrum.scale_invariant": 80,
         "geodesics.factor_samples": 60,
         "geodesics.search_samples": 250,
         "alignment.samples": 250,
@@ -173,7 +173,7 @@ def test_different_vertex_counts(bumpy: Arrays) -> None:
     """A shape and the same surface at a quarter of the vertices: each finds the nearest vertex of the other."""
     coarse = shapes.bumpy_sphere(2)
     vertices, faces, new_of_old = shapes.renumbered(*coarse, 3)
-    result = matched(bumpy, (vertices, faces), spectrum__refinement=40, spectrum__descriptors=40)
+    result = matched(bumpy, (vertices, faces), spectrum__refinement=40, spectrum__scale_invariant=40)
     assert result.target_of_source.shape == (len(bumpy[0]),)
     assert result.source_of_target.shape == (len(vertices),)
     # The first vertices of a subdivision are the vertices that were subdivided.

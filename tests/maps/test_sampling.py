@@ -69,7 +69,7 @@ def test_a_shape_is_matched_with_itself(middle: PreparedPair, backend: Reference
 
 def test_steps_repair_disturbed_maps(middle: PreparedPair, backend: Reference, rng: np.random.Generator) -> None:
     source, target, _ = middle
-    x, y = (bound(shape.descriptors, shape.samples(1000, 100), shape, backend) for shape in (source, target))
+    x, y = (bound(shape.scale_invariant, shape.samples(1000, 100), shape, backend) for shape in (source, target))
     truth = true_maps(middle, x.samples, y.samples)
     lost = rng.random(truth.target_of_source.size) < 0.3
     disturbed = dataclasses.replace(

@@ -27,7 +27,7 @@ QUICK = Options().replace(
         "search.method": "random",
         "spectrum.basis": 16,
         "spectrum.refinement": 16,
-        "spectrum.descriptors": 24,
+        "spectrum.scale_invariant": 24,
         "geodesics.search_samples": 60,
         "alignment.outer_iterations": 1,
         "alignment.iterations": 3,

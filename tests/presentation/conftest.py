@@ -25,15 +25,15 @@ def small() -> Correspondence:
     return made.small()
 
 
-def waves(mesh: Mesh, basis: int, descriptors: int) -> tuple[Spectrum, Spectrum]:
+def waves(mesh: Mesh, basis: int, scale_invariant: int) -> tuple[Spectrum, Spectrum]:
     """Smooth functions in place of eigenfunctions, for meshes on which these would take too long."""
     mass = lumped_mass(mesh.vertices, mesh.faces)
-    frequencies = np.random.default_rng(8).normal(scale=4.0, size=(3, max(basis, descriptors)))
+    frequencies = np.random.default_rng(8).normal(scale=4.0, size=(3, max(basis, scale_invariant)))
     functions = np.cos(mesh.vertices @ frequencies)
     functions /= np.sqrt(mass @ functions**2)
     values = np.arange(functions.shape[1], dtype=np.float64)
     return Spectrum(values[:basis], functions[:, :basis], mass), Spectrum(
-        values[:descriptors], functions[:, :descriptors], mass
+        values[:scale_invariant], functions[:, :scale_invariant], mass
     )
 
 
@@ -56,4 +56,4 @@ def large() -> Correspondence:
     vertices, faces = torus(256, 196)
     other, other_faces, new_of_old = shapes.renumbered(shapes.bent(vertices, 0.5), faces, 6)
     meshes = mesh_from_arrays(vertices, faces, "ring"), mesh_from_arrays(other, other_faces, "bent ring")
-    return made.fabricate(*meshes, new_of_old, np.argsort(new_of_old), descriptors=100, spectra_of=waves)
+    return made.fabricate(*meshes, new_of_old, np.argsort(new_of_old), scale_invariant=100, spectra_of=waves)

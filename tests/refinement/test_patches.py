@@ -26,7 +26,8 @@ def backend() -> Reference:
 @pytest.fixture
 def bases(middle: PreparedPair, backend: Reference) -> tuple[SampledBasis, SampledBasis]:
     source, target = (
-        SampledBasis.of(shape.descriptors, shape.samples(1000, PATCHES), shape.order, backend) for shape in middle[:2]
+        SampledBasis.of(shape.scale_invariant, shape.samples(1000, PATCHES), shape.order, backend)
+        for shape in middle[:2]
     )
     return source, target
 
@@ -69,10 +70,10 @@ def test_patchwise_maps_sharpen_a_coarse_map(
     source, target, truth = middle
     coarse = true_functional_map(source.basis, target.basis, truth.source_of_target, 12)
     coarse += 0.1 * rng.normal(size=coarse.shape)
-    maps = patchwise_maps(source, target, (source.descriptors, target.descriptors), coarse, 60, RULES, backend)
+    maps = patchwise_maps(source, target, (source.scale_invariant, target.scale_invariant), coarse, 60, RULES, backend)
     distances = all_pairs(target.mesh)
     # Neighbouring vertices are about 0.04 apart.
     assert distances[maps.target_of_source, truth.target_of_source].mean() < 0.01
     assert (maps.source_of_target == truth.source_of_target).mean() > 0.8
-    again = patchwise_maps(source, target, (source.descriptors, target.descriptors), coarse, 60, RULES, backend)
+    again = patchwise_maps(source, target, (source.scale_invariant, target.scale_invariant), coarse, 60, RULES, backend)
     np.testing.assert_array_equal(again.target_of_source, maps.target_of_source)

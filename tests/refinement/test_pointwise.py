@@ -85,7 +85,7 @@ def test_a_patch_that_is_turned_inside_out_is_seen_and_taken_from_another_map() 
     shape = prepare(mesh_from_arrays(vertices, faces), MIDDLE)
     backend = Reference()
     samples = shape.samples(250, 25)
-    low, high = (SampledBasis.of(each, samples, shape.order, backend) for each in (shape.basis, shape.descriptors))
+    low, high = (SampledBasis.of(each, samples, shape.order, backend) for each in (shape.basis, shape.scale_invariant))
     orientations = Orientations(low, low, shape.orientation, shape.orientation, RULES)
     vertices_of_samples = low.samples.vertices
     exchanged = np.where(inside, mirror, np.arange(len(vertices)))[vertices_of_samples]

@@ -78,7 +78,7 @@ def test_two_way_steps_repair_a_disturbed_map(
 ) -> None:
     source, target, truth = middle
     maps = disturbed(truth, 0.3, rng)
-    spectra = BoundSpectra.of(source.descriptors, target.descriptors, backend)
+    spectra = BoundSpectra.of(source.scale_invariant, target.scale_invariant, backend)
     orders = source.order, target.order
     repaired = two_way_steps(spectra, maps, 2, orders, backend)
     assert distances[maps.target_of_source, truth.target_of_source].mean() > 0.1

@@ -77,9 +77,11 @@ def draw_pair_rotation(
     OptionError
         There is no such pair.
     """
-    true = true_rotation(as_computed(result.source_descriptors), result.target_descriptors, maps.source_of_target)
+    true = true_rotation(
+        as_computed(result.source_scale_invariant), result.target_scale_invariant, maps.source_of_target
+    )
     true = true[: len(result.rotation), : len(result.rotation)]
-    support = support_areas(result.target_descriptors.functions, result.target_basis.mass)
+    support = support_areas(result.target_scale_invariant.functions, result.target_basis.mass)
     place = most_rotated_pair(true, support) if first is None else first - 1
     if not 0 <= place < len(result.rotation) - 1:
         raise OptionError(f"there is no pair {place + 1}, {place + 2} among {len(result.rotation)} eigenfunctions")
@@ -145,7 +147,7 @@ def draw_variants(
 
 def _unaligned(result: Correspondence) -> Pair:
     count = len(result.rotation)
-    return as_computed(result.source_descriptors)[:, :count], result.target_descriptors.functions[:, :count]
+    return as_computed(result.source_scale_invariant)[:, :count], result.target_scale_invariant.functions[:, :count]
 
 
 def _errors(result: Correspondence, functions: Pair, maps: PointMaps) -> NDArray[np.float64]:

@@ -34,8 +34,8 @@ def draw_funnel(result: Correspondence, maps: PointMaps) -> Drawing:
     from matplotlib.colors import PowerNorm
 
     count = len(result.rotation)
-    source = as_computed(result.source_descriptors)[:, :count]
-    true = true_rotation(source, result.target_descriptors, maps.source_of_target)
+    source = as_computed(result.source_scale_invariant)[:, :count]
+    true = true_rotation(source, result.target_scale_invariant, maps.source_of_target)
     recovered = recovered_rotation(result)
     band = funnel_band(count, result.options.alignment)
     mask = band_mask(band)

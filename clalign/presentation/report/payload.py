@@ -121,7 +121,7 @@ def _add_functions(
     fitting = min(_MOST_FUNCTIONS, _FUNCTION_BYTES // (2 * (source_count + target_count)))
     shown = min(available, max(1, fitting) if wanted is None else max(1, wanted))
     stages = {
-        "before": (correspondence.source_descriptors.functions, correspondence.target_descriptors.functions),
+        "before": (correspondence.source_scale_invariant.functions, correspondence.target_scale_invariant.functions),
         "after": (correspondence.source_aligned, correspondence.target_aligned),
     }
     agreement = {}
