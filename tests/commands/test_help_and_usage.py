@@ -12,6 +12,7 @@ import pytest
 
 import clalign
 from clalign.cli.main import COMMANDS, build_parser, main
+from clalign.option_values import leaves
 from clalign.options import Options
 
 PROGRAM = [sys.executable, "-m", "clalign.cli.main"]
@@ -98,13 +99,16 @@ def test_mistyped_options_get_the_usage_of_their_command(
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
 def test_options_lists_each_with_its_value_and_meaning(preset: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["options", "--preset", preset]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    changes = dict(line.split("=", 1) for line in lines if not line.startswith(" "))
+    changes: dict[str, str] = {}
+    for more in ([], ["--rules"]):
+        assert main(["options", "--preset", preset, *more]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        listed = dict(line.split("=", 1) for line in lines if not line.startswith(" "))
+        assert all(name.startswith("rules.") == bool(more) for name in listed)
+        assert all(after.startswith("    ") for line, after in itertools.pairwise(lines) if not line.startswith(" "))
+        changes |= listed
     assert Options().replace(changes) == Options.preset(preset)
-    flat = Options.preset(preset).as_dict()
-    assert len(changes) == sum(len(values) if isinstance(values, dict) else 1 for values in flat.values())
-    assert all(after.startswith("    ") for line, after in itertools.pairwise(lines) if not line.startswith(" "))
+    assert sorted(changes) == sorted(name for name, _ in leaves(Options()))
 
 
 @pytest.mark.parametrize("form", [["--truth", "A", "B"], ["--truth", "A", "--truth", "B"]])
