@@ -1,7 +1,6 @@
 """Measurements of memory and time that the coefficients of `resources` are fitted to.
 
-Peaks of memory do not depend on what else the machine does. Times are processor seconds, which other processes change
-little; only the share of the work that is done in parallel is off on a busy machine.
+Peaks of memory do not depend on what else the machine does, and times are processor seconds, which that changes little.
 """
 
 from __future__ import annotations
@@ -38,15 +37,11 @@ SIZES = (1000, 4000, 10_000, 25_000)
 VARIED = 2500
 VARIANTS: tuple[dict[str, Any], ...] = (
     {"engine.precision": "double"},
-    {"spectrum.scale_invariant": 150},
     {"spectrum.scale_invariant": 700},
     {"spectrum.refinement": 600},
-    {"spectrum.metric": "auto"},
-    {"search.method": "random"},
-    {"readout.refine": "none"},
-    {"geodesics.search_samples": 300},
-    {"alignment.samples": 0, "alignment.outer_iterations": 1},
-    {"alignment.outer_iterations": 0, "readout.steps": 0},
+    {"spectrum.metric": "auto", "geodesics.search_samples": 300},
+    {"search.method": "random", "alignment.samples": 0, "alignment.outer_iterations": 1},
+    {"readout.refine": "none", "alignment.outer_iterations": 0, "readout.steps": 0},
 )
 """Changes of options whose cost is measured at `VARIED` vertices."""
 WARM_UP = 1000
@@ -67,7 +62,7 @@ class Measured:
     memory : peak bytes of the process and its helpers.
     device_memory : peak bytes in buffers of the device; 0 where there is none.
     work : processor seconds by stage of the forecast.
-    seconds : of the stages that take part in `work`.
+    serial : of these without `resources.SERIAL`, those of the thread that called; others take part in the rest.
     """
 
     name: str
@@ -76,7 +71,7 @@ class Measured:
     memory: int
     device_memory: int
     work: dict[str, float]
-    seconds: float
+    serial: float
 
 
 def measurements(draw: Draw | None, watch: Callable[[Measured], None] = lambda _: None) -> list[Measured]:
@@ -88,9 +83,9 @@ def measurements(draw: Draw | None, watch: Callable[[Measured], None] = lambda _
     watch : called after every match.
     """
     found = []
+    for precision in ("single", "double"):
+        measured("warm-up", _generated(WARM_UP), {"engine.precision": precision}, None)
     for name, meshes, changes in _plan():
-        if not changes or "engine.precision" in changes:
-            measured("warm-up", _generated(WARM_UP), changes, None)
         found.append(measured(name, meshes, changes, None if changes else draw))
         watch(found[-1])
     return found
@@ -124,22 +119,22 @@ def _measured_here(name: str, meshes: tuple[Mesh, Mesh], changes: dict[str, Any]
         warnings.simplefilter("ignore")
         with clock.stage("start"):
             backend = open_backend(options.engine)
-        begin = time.perf_counter()
+        begin = time.thread_time()
         with clock.stage("prepare"):
             shapes = prepare_pair(*meshes, options)
         result = match_shapes(*shapes, backend, options, clock)
-        seconds = time.perf_counter() - begin
+        serial = round(time.thread_time() - begin, 2)
         watch("result")
         if draw is not None:
             with tempfile.TemporaryDirectory(prefix="clalign-") as folder:
                 draw(result, Path(folder))
         watch("end")
-    work = {stage: watch.seconds[stage] for stage in resources.STAGES if stage in watch.seconds}
+    work = {stage: round(watch.seconds[stage], 2) for stage in resources.STAGES if stage in watch.seconds}
     if draw is None:
         del work["result"]
     device = getattr(backend, "device", None)
     vertices = meshes[0].n_vertices, meshes[1].n_vertices
-    return Measured(name, vertices, changes, memory.peak or 0, device.most if device else 0, work, seconds)
+    return Measured(name, vertices, changes, memory.peak or 0, device.most if device else 0, work, serial)
 
 
 class _StageWork:
@@ -156,16 +151,11 @@ class _StageWork:
         self._stage, self._before = STAGES.get(stage, stage), now
 
 
-def fitted(found: Sequence[Measured], processors: int) -> dict[str, Any]:
+def fitted(found: Sequence[Measured]) -> dict[str, Any]:
     """Return the coefficients of `resources.terms`, and the share of the work that is done in parallel.
 
     Coefficients are not negative, and make the sum of squared relative errors least. The bundled pair is left out, so
     that it can show how good they are.
-
-    Parameters
-    ----------
-    found : measurements.
-    processors : that took part in them.
     """
     fit = [one for one in found if one.name == "generated"]
     coefficients = {}
@@ -179,7 +169,7 @@ def fitted(found: Sequence[Measured], processors: int) -> dict[str, Any]:
     coefficients[resources.HOST] = non_negative(host)
     for stage in resources.STAGES:
         coefficients[stage] = non_negative([(_terms(one)[stage], one.work.get(stage, 0.0)) for one in fit])
-    return {"coefficients": coefficients, "parallel": _parallel(fit, processors)}
+    return {"coefficients": coefficients, "parallel": _parallel(fit)}
 
 
 def _terms(one: Measured) -> dict[str, resources.Terms]:
@@ -198,16 +188,17 @@ def non_negative(rows: Iterable[tuple[resources.Terms, float]]) -> dict[str, flo
     return {name: float(f"{value:.4g}") for name, value in zip(names, solution / lengths, strict=True)}
 
 
-def _parallel(found: Sequence[Measured], processors: int) -> float:
-    """Return p of Amdahl's law, seconds = work (1 − p + p / processors), of the pair that was disturbed least."""
-    if processors == 1:
-        return 0.0
-    paces = [one.seconds / sum(one.work[stage] for stage in one.work if stage not in resources.SERIAL) for one in found]
-    return float(np.clip((1.0 - min(paces)) / (1.0 - 1.0 / processors), 0.0, 1.0).round(2))
+def _parallel(found: Sequence[Measured]) -> float:
+    """Return p of Amdahl's law, seconds = work (1 − p + p / processors), from pairs with default options.
+
+    The calling thread waits while others compute, so that what it does itself is the serial part.
+    """
+    default = [one for one in found if not one.changes]
+    work = sum(seconds for one in default for stage, seconds in one.work.items() if stage not in resources.SERIAL)
+    return round(1.0 - sum(one.serial for one in default) / work, 3)
 
 
 def table(found: Sequence[Measured], machine: Machine) -> dict[str, Any]:
     """Return the content of `resources.TABLE`."""
     date = datetime.now(UTC).date().isoformat()
-    rows = [{**asdict(one), "work": {stage: round(value, 2) for stage, value in one.work.items()}} for one in found]
-    return {"date": date, "machine": asdict(machine), **fitted(found, machine.processors), "measured": rows}
+    return {"date": date, "machine": asdict(machine), **fitted(found), "measured": [asdict(one) for one in found]}

@@ -26,16 +26,14 @@ def test_measurements_that_obey_the_model_are_reproduced() -> None:
         predicted = resources.forecast(*one.vertices, Options().replace(one.changes), processors=1)
         work = {stage: seconds for stage, seconds in predicted.stages.items() if seconds > 0}
         matching = sum(seconds for stage, seconds in work.items() if stage not in resources.SERIAL)
-        # Of 100 s of work, 20 s by one processor and 80 s by two.
         obedient.append(replace(one, memory=predicted.memory, device_memory=predicted.device_memory, work=work,
-                                seconds=(0.2 + 0.8 / 2) * matching))  # fmt: skip
+                                serial=0.2 * matching))  # fmt: skip
     # The bundled pair is not fitted to.
     obedient[-1] = replace(obedient[-1], memory=1, device_memory=1)
-    found = fitted(obedient, processors=2)
+    found = fitted(obedient)
     assert found["parallel"] == pytest.approx(0.8)
     for name, expected in resources.calibration()["coefficients"].items():
         assert found["coefficients"][name] == pytest.approx(expected, rel=0.02, abs=1e-3 * max(expected.values())), name
-    assert fitted(obedient, processors=1)["parallel"] == 0.0
 
 
 def test_coefficients_are_not_negative_and_what_was_not_measured_does_not_count() -> None:

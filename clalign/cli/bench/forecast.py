@@ -13,8 +13,7 @@ _DESCRIPTION = """\
 Match generated pairs of growing size, one of them with other options too, and the bundled pair, each in a process of
 its own; fit the coefficients of the forecast to peak memory and processor time; and write them with the measurements
 to a file, by default the one that this installation reads. It takes some six minutes on two processors. Other
-programs meanwhile change the memory not at all and the processor time little, but the time that is expected of several
-processors comes out too long.
+programs meanwhile change the memory not at all and the processor time little.
 """
 
 
@@ -43,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     def watch(one: Measured) -> None:
         changes = ", ".join(f"{name}={value}" for name, value in one.changes.items()) or "default options"
         label = f"{one.name}, {one.vertices[0]:,} vertices, {changes}"
-        terminal.note(f"{label}: {bytes_text(one.memory)}, {one.seconds:.1f} s")
+        terminal.note(f"{label}: {bytes_text(one.memory)}, {sum(one.work.values()):.1f} s of a processor")
 
     found = measurements(draw, watch)
     text = json.dumps(table(found, machine), indent=1)
