@@ -157,7 +157,8 @@ def test_a_worker_that_dies_does_not_end_the_run(layouts: tuple[Layout, ...], tm
     first, *others = finished.records
     assert first.failed
     assert "ended without an answer" in first.message
-    assert not others[-1].failed
+    # Whatever the other worker was at is lost, too.
+    assert not all(other.failed for other in others)
 
 
 def test_bad_calls(layouts: tuple[Layout, ...], tmp_path: Path) -> None:
