@@ -16,7 +16,11 @@ PointwiseKind = Literal["curvatures", "signatures", "oriented"]
 
 @dataclass(frozen=True)
 class Level:
-    """Sizes of one ZoomOut step among samples: `size` functions, `queries` samples of Y, `points` samples of X."""
+    """One ZoomOut step among samples.
+
+    size : functions.
+    queries, points : samples of Y that are matched, and of X that they may be matched with.
+    """
 
     size: int
     queries: int

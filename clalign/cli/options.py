@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import inspect
+import json
 import operator
 import re
 import textwrap
@@ -41,11 +43,17 @@ def run(args: argparse.Namespace) -> int:
             continue
         group, _, option = name.rpartition(".")
         value = operator.attrgetter(name)(chosen)
-        shown = ",".join(str(each) for each in value) if isinstance(value, tuple) else value
-        print(f"{name}={str(shown).lower() if isinstance(value, bool) else shown}")
+        print(f"{name}={_text(value)}")
         meanings = described(type(operator.attrgetter(group)(chosen))) if group else {"seed": "fixes everything drawn"}
         print(textwrap.fill(meanings[option], _WIDTH, initial_indent="    ", subsequent_indent="    "))
     return 0
+
+
+def _text(value: object) -> object:
+    """Return a value as --set takes it."""
+    if isinstance(value, tuple):
+        return json.dumps(value, default=dataclasses.asdict, separators=(",", ":"))[1:-1]
+    return str(value).lower() if isinstance(value, bool) else value
 
 
 def described(group: type) -> dict[str, str]:

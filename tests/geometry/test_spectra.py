@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+from collections.abc import Callable
 
 import analytic
 import numpy as np
@@ -20,8 +21,18 @@ from clalign.geometry.spectra import Spectrum, solve
 from clalign.options import SpectrumOptions
 
 
-def lbo(surface: analytic.Surface, count: int, solver: str = "block", threads: int = 1) -> Spectrum:
-    return solve(operators.stiffness(*surface), operators.lumped_mass(*surface), count, solver, threads)  # type: ignore[arg-type]
+def lbo(surface: analytic.Surface, count: int, threads: int = 1) -> Spectrum:
+    return solve(operators.stiffness(*surface), operators.lumped_mass(*surface), count, threads)
+
+
+@pytest.fixture
+def without_block(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Call it, and from then on block Lanczos does not converge."""
+
+    def fails(*_: object) -> None:
+        raise ConvergenceError("a slice did not converge")
+
+    return lambda: monkeypatch.setattr(spectra, "lowest_pairs", fails)
 
 
 def scale_invariant_mass(surface: analytic.Surface, xi: float = 0.3) -> NDArray[np.float64]:
@@ -91,11 +102,17 @@ def test_no_pair_is_missing_and_every_one_is_accurate(name: str, caplog: pytest.
     assert relative.max() < 1e-7
 
 
-def test_block_and_arpack_span_the_same_functions() -> None:
+def test_failure_of_block_lanczos_is_logged_and_arpack_finds_the_same_functions(
+    without_block: Callable[[], None], caplog: pytest.LogCaptureFixture
+) -> None:
     surface = analytic.bumpy(4)
-    block, reference = (lbo(surface, 180, solver) for solver in ("block", "arpack"))
-    np.testing.assert_allclose(block.eigenvalues, reference.eigenvalues, rtol=1e-9, atol=1e-8)
-    np.testing.assert_allclose(block.functions, reference.functions, atol=1e-5 * np.abs(reference.functions).max())
+    block = lbo(surface, 180)
+    assert not caplog.records
+    without_block()
+    arpack = lbo(surface, 180)
+    assert "ARPACK takes over" in caplog.text
+    np.testing.assert_allclose(block.eigenvalues, arpack.eigenvalues, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(block.functions, arpack.functions, atol=1e-5 * np.abs(arpack.functions).max())
 
 
 def test_reproducible_bit_for_bit() -> None:
@@ -112,7 +129,7 @@ def test_renumbering_changes_rounding_only() -> None:
     first = lbo((vertices, faces), 150)
     second = lbo((shuffled_vertices, shuffled_faces.astype(np.int32)), 150)
     np.testing.assert_allclose(second.eigenvalues, first.eigenvalues, rtol=1e-9, atol=1e-8)
-    # Functions may turn within near-multiple pairs as far as residual over gap lets them.
+    # Functions may rotate within near-multiple pairs as far as residual over gap lets them.
     np.testing.assert_allclose(second.functions[new_of_old], first.functions, atol=1e-5)
 
 
@@ -151,20 +168,6 @@ def test_smallest_meshes(surface: analytic.Surface) -> None:
     assert spectrum.count == min(10, max(len(surface[0]) // 3, 1))
 
 
-def test_failure_of_the_block_solver_is_logged_and_arpack_takes_over(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    surface = analytic.bumpy(3)
-    expected = lbo(surface, 30).eigenvalues
-
-    def fails(*_: object) -> None:
-        raise ConvergenceError("a slice did not converge")
-
-    monkeypatch.setattr(spectra, "lowest_pairs", fails)
-    np.testing.assert_allclose(lbo(surface, 30).eigenvalues, expected, rtol=1e-9, atol=1e-8)
-    assert "ARPACK" in caplog.text
-
-
 def test_inaccurate_pairs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     def careless(matrix: sparse.csc_matrix, count: int, unit: float, threads: int) -> tuple[object, object]:
         values, vectors = lanczos.lowest_pairs(matrix, count, unit, threads)
@@ -176,8 +179,7 @@ def test_inaccurate_pairs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         lbo(analytic.bumpy(3), 30)
 
 
-@pytest.mark.parametrize("solver", ["block", "arpack"])
-def test_singular_operators_are_a_convergence_error(solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_singular_operators_are_a_convergence_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """As SuperLU reports them: the pivot of a vertex without area or weights is exactly zero."""
     surface = analytic.bumpy(3)
     count = len(surface[0])
@@ -187,16 +189,19 @@ def test_singular_operators_are_a_convergence_error(solver: str, monkeypatch: py
     # The shift of the factorisation would make the pivot positive.
     monkeypatch.setattr(factors.sparse, "eye_array", lambda size: sparse.csc_array((size, size)))
     with pytest.raises(ConvergenceError, match=r"singular.*clalign check") as caught:
-        solve(weights.tocsr(), mass, 30, solver)  # type: ignore[arg-type]
+        solve(weights.tocsr(), mass, 30)
     assert type(caught.value.__cause__) is RuntimeError
     with pytest.raises(ConvergenceError, match=r"singular.*clalign check"):
         operators.diffused(np.ones(count), mass, weights.tocsr(), 0.01)
 
 
-def test_arpack_that_gives_up_is_a_convergence_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arpack_that_gives_up_is_a_convergence_error(
+    without_block: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_block()
     monkeypatch.setattr(spectra, "eigsh", functools.partial(eigsh, maxiter=1, ncv=31, tol=1e-14))
     with pytest.raises(ConvergenceError, match=r"ARPACK gave up on 30 eigenpairs.*clalign check") as caught:
-        lbo(analytic.bumpy(3), 30, "arpack")
+        lbo(analytic.bumpy(3), 30)
     assert isinstance(caught.value.__cause__, ArpackNoConvergence)
 
 
