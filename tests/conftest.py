@@ -15,6 +15,7 @@ import pytest
 import shapes
 from numpy.typing import NDArray
 from shapes import Pair
+from skips import pytest_make_collect_report, pytest_runtest_makereport  # noqa: F401 (hooks are found by name)
 
 if TYPE_CHECKING:
     from prepared import Bound, PreparedPair

@@ -93,10 +93,24 @@ def test_json_refuses_what_is_not_json() -> None:
         Terminal(as_json=True).document({"a": float("nan")})
 
 
-def test_bar_accepts_fractions_outside_0_and_1() -> None:
-    with BarView() as progress:
-        progress("source", -0.5, "[not markup]")
-        progress("source", 1.5, "[/]")
+@pytest.mark.parametrize(("fraction", "shown", "message"), [(-0.5, "0%", "[not markup]"), (1.5, "100%", "[/]")])
+def test_bar_of_a_stage_that_fails_stays_where_it_was(
+    capsys: pytest.CaptureFixture[str], fraction: float, shown: str, message: str
+) -> None:
+    def fail() -> None:
+        with BarView() as progress:
+            progress("source", 0.3, "earlier")
+            progress("alignment", fraction, message)
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail()
+    captured = capsys.readouterr()
+    first, last = captured.err.split("source", 1)[1].split("alignment", 1)
+    assert "100%" in first.split()
+    assert shown in last.split()
+    assert last.rstrip().endswith(message)
+    assert captured.out == ""
 
 
 def test_table_aligns() -> None:

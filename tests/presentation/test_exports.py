@@ -99,7 +99,9 @@ def test_geomfum_finds_the_same_maps(whole: Correspondence, tmp_path: Path) -> N
     with warnings.catch_warnings():
         # What the library warns of while it is imported is its own affair.
         warnings.simplefilter("ignore")
-        convert = pytest.importorskip("geomfum.convert", exc_type=ImportError)
+        convert = pytest.importorskip(
+            "geomfum.convert", exc_type=ImportError, reason="geomfum brings PyTorch, several gigabytes"
+        )
         shape_a, shape_b, fmap = exports.to_geomfum(whole)
         back = convert.P2pFromFmConverter()(fmap, shape_a.basis, shape_b.basis)
         again = convert.FmFromP2pConverter(pseudo_inverse=True)(whole.source_of_target, shape_a.basis, shape_b.basis)
