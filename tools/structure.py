@@ -83,7 +83,7 @@ def watched_match(folder: Path) -> Stack:
 
     warnings.simplefilter("ignore")
     pair = bumpy(1), bumpy(2)
-    # The first match imports modules and builds programs.
+    # The first match imports modules.
     clalign.match(*pair)
     stack = Stack(folder)
     threading.setprofile(stack)
