@@ -34,6 +34,8 @@ ARRAYS_FILE = "result.npz"
 FORWARD_FILE = "target_of_source.txt"
 BACKWARD_FILE = "source_of_target.txt"
 
+_ARRAYS = ("target_of_source", "source_of_target", "functional_map", "rotation", "distortion")
+_SCORES = ("score", "orientation", "distance")
 _MESH_ARRAYS = ("vertices", "faces", "offset", "file_index")
 _SPECTRA = ("source_basis", "target_basis", "source_scale_invariant", "target_scale_invariant")
 
@@ -42,8 +44,8 @@ _SPECTRA = ("source_basis", "target_basis", "source_scale_invariant", "target_sc
 class Alternative(PointMaps):
     """A map that the search considered and that differs from the chosen one.
 
-    target_of_source : (file_count_x,) int64, in file numbering; -1 where the vertex is not on the surface.
-    source_of_target : (file_count_y,) int64.
+    Maps are in file numbering, -1 where a vertex is not on the surface.
+
     score : product of five unit-free ones, the lower the better; comparable between the maps of one match. They are the
         distortion of distances, the differences of mean curvature, Gaussian curvature and heat kernel signatures, and
         how far the functional map is from commuting with the Laplacian.
@@ -192,12 +194,7 @@ class Correspondence:
             "timings": {name: finite_or_none(value) for name, value in self.timings.items()},
             "warnings": list(self.warnings),
             "alternatives": [
-                {
-                    "score": finite_or_none(a.score),
-                    "orientation": finite_or_none(a.orientation),
-                    "distance": finite_or_none(a.distance),
-                }
-                for a in self.alternatives
+                {name: finite_or_none(getattr(each, name)) for name in _SCORES} for each in self.alternatives
             ],
             "options": self.options.as_dict(),
             "versions": dict(self.versions),
@@ -295,8 +292,7 @@ def _arrays(result: Correspondence) -> Iterator[tuple[str, NDArray[Any]]]:
         yield f"{name}.eigenvalues", spectrum.eigenvalues
         yield f"{name}.functions", spectrum.functions.astype(np.float32)
         yield f"{name}.mass", spectrum.mass
-    for name in ("target_of_source", "source_of_target", "functional_map", "rotation", "distortion"):
-        yield name, getattr(result, name)
+    yield from ((name, getattr(result, name)) for name in _ARRAYS)
     for number, alternative in enumerate(result.alternatives):
         yield f"alternatives.{number}.target_of_source", alternative.target_of_source
         yield f"alternatives.{number}.source_of_target", alternative.source_of_target
@@ -342,18 +338,13 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         options = Options.from_dict(facts["options"])
     except OptionError as error:
         raise ResultError(str(error)) from error
+    plain: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
+    plain |= {name: _spectrum(name, arrays) for name in _SPECTRA}
     columns = ["outer_iteration" if name == "round" else str(name) for name in arrays["history.columns"]]
     return Correspondence(
         source=_mesh("source", facts, arrays),
         target=_mesh("target", facts, arrays),
-        target_of_source=arrays["target_of_source"],
-        source_of_target=arrays["source_of_target"],
-        functional_map=arrays["functional_map"],
-        rotation=arrays["rotation"],
-        source_basis=_spectrum("source_basis", arrays),
-        target_basis=_spectrum("target_basis", arrays),
-        source_scale_invariant=_spectrum("source_scale_invariant", arrays),
-        target_scale_invariant=_spectrum("target_scale_invariant", arrays),
+        **plain,
         history=tuple(
             {name: float(value) for name, value in zip(columns, row, strict=True) if not np.isnan(value)}
             for row in arrays["history.values"]
@@ -361,12 +352,11 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         losses={name: _number(value) for name, value in facts["losses"].items()},
         confidence=_number(facts["confidence"]),
         orientation=_number(facts["orientation"]),
-        distortion=arrays["distortion"],
         alternatives=tuple(
             Alternative(
                 target_of_source=arrays[f"alternatives.{number}.target_of_source"],
                 source_of_target=arrays[f"alternatives.{number}.source_of_target"],
-                **{name: _number(values[name]) for name in ("score", "orientation", "distance")},
+                **{name: _number(values[name]) for name in _SCORES},
             )
             for number, values in enumerate(facts["alternatives"])
         ),
