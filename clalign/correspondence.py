@@ -74,7 +74,7 @@ class Correspondence:
     source_basis, target_basis : LBO eigenfunctions of both meshes.
     source_scale_invariant, target_scale_invariant : scale-invariant eigenfunctions; the signs that the search found are
         already in those of the source.
-    history : one entry an evaluation: round, evaluation, total, align, unsup, cycle, unitarity.
+    history : one entry an evaluation: outer_iteration, evaluation, total, align, unsup, cycle, unitarity.
     losses : the terms at the kept point.
     confidence : in [0, 1], by how much the chosen map beats the best different one; NaN where none was looked for.
     orientation : from -1 (mirrored) to 1 (orientation kept).
@@ -87,6 +87,9 @@ class Correspondence:
     source_faces, source_barycentric : (file_count_x,) int64 and (file_count_x, 3) float64, the point of the target
         of every source vertex as a target face and weights of its corners; None without the sub-vertex read-out.
     score : of the chosen map, as `Alternative.score`; NaN where no search was made.
+    xi : exponent ξ of the metric, as given or as chosen for the pair.
+    status : how the optimisation of R ended: converged, noise floor, budget, failed, not run, or interrupted (Ctrl-C).
+    method : version of the method, which counts changes after which the same input gives another map.
 
     Raises
     ------

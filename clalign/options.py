@@ -51,12 +51,22 @@ def _not_negative(group: str, options: Any, *names: str) -> None:
         _require(value >= 0 and _finite(value), f"{group}.{name} must not be negative, got {value!r}")
 
 
+MAY_BE_EMPTY = ("rules.search.oriented.strengths", "rules.search.plain.strengths", "rules.search.unfold_sizes")
+
+
 def _check_rule(name: str, value: Any) -> None:
-    """Refuse numbers that no rule can have; a least orientation may be negative."""
-    for each in value if isinstance(value, tuple) else (value,):
-        if isinstance(each, int | float):
-            least = -1 if "orientation" in name else 0
-            _require(each >= least and _finite(each), f"{name} must be at least {least}, got {each!r}")
+    """Refuse numbers that no rule can have: only an orientation may be negative, and only some lists empty."""
+    if dataclasses.is_dataclass(value):
+        for inner in dataclasses.fields(value):
+            _check_rule(f"{name}.{inner.name}", getattr(value, inner.name))
+        _check_choices(name, value)
+    elif isinstance(value, tuple):
+        _require(bool(value) or name in MAY_BE_EMPTY, f"{name} must not be empty")
+        for each in value:
+            _check_rule(name, each)
+    elif isinstance(value, int | float):
+        least = -1 if name.endswith("orientation") else 1 if name.endswith((".step", ".start")) else 0
+        _require(value >= least and _finite(value), f"{name} must be at least {least}, got {value!r}")
 
 
 def _check_choices(group: str, options: Any) -> None:

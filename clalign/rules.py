@@ -1,8 +1,9 @@
 """Every number that steers a result and that no user needs to know, with its reason.
 
 Rules are passed down as arguments, written to ``result.json`` with the options, and varied by the study like options:
-``--set rules.search.finalists=32``. What is not here guards floating-point arithmetic or chooses between ways to
-compute the same.
+``--set rules.search.finalists=32``. What is not here guards floating-point arithmetic, or chooses between ways to
+compute the same; ``maps/nearest.py`` and ``maps/inverted_file.py`` say from which size on, and how, nearest neighbours
+are approximated.
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ class TreeRules:
     slack, margin : candidates with distortion above slack · least + margin are dropped.
     radius : candidates closer than this (mean geodesic distance) are duplicates; at twice as much the front-back
         variant of a body would be merged with the truth.
+    among : so many times `most` of least distortion are searched for duplicates.
     most : at most so many candidates go on.
     """
 
@@ -76,6 +78,7 @@ class TreeRules:
     slack: float = 3.0
     margin: float = 0.01
     radius: float = 0.03
+    among: int = 4
     most: int = 80
 
 
@@ -87,14 +90,16 @@ class SearchRules:
         become self-maps.
     unfold : functions of the first map of an unfolded candidate, and the samples that it is read from; with 12
         functions instead of 16 five of six hard pairs are missed.
-    settle : ZoomOut steps of an unfolded candidate, before its orientation is looked at.
+    settle : ZoomOut steps of an unfolded candidate, before its orientation is looked at; ...
+    settled_orientation : ... below it is dropped.
     triple_products : products n·(∇φ_a × ∇φ_b) of the first so many functions unfold a candidate.
     scored_products : products of so many functions tell the orientation of a map.
     wide : ZoomOut steps that bring candidates of all trees to the same size.
     wide_radius : mean geodesic distance of duplicates from then on.
     wide_among : so many times `wide_most` of least distortion are searched for duplicates.
     wide_most : candidates kept of each source.
-    self_maps : maps of each shape to itself that candidates are composed with, out of four times as many.
+    self_maps : maps of each shape to itself that candidates are composed with, ...
+    self_maps_among : ... out of so many.
     not_identity : a self-map moves its samples farther than this on average.
     composed : candidates that are composed with self-maps.
     unfolded_again : candidates whose leading blocks are unfolded once more ...
@@ -112,6 +117,7 @@ class SearchRules:
     plain: TreeRules = TreeRules(7, (8, 9, 10, 11, 12, 14, 16, 18, 20), carried=0.6)
     unfold: Level = Level(16, 200, 400)
     settle: Levels = Levels((16, 16), 150, 300)
+    settled_orientation: float = 0.0
     triple_products: int = 6
     scored_products: int = 7
     wide: Levels = Levels((22, 25, 28, 32, 36, 40, 40), 200, 600)
@@ -119,6 +125,7 @@ class SearchRules:
     wide_among: int = 3
     wide_most: int = 60
     self_maps: int = 4
+    self_maps_among: int = 16
     not_identity: float = 0.1
     composed: int = 8
     unfolded_again: int = 24
@@ -136,7 +143,8 @@ class SearchRules:
 class ZoomOutSchedule:
     """How a functional map is grown by ZoomOut.
 
-    start : functions that are kept of it; None keeps all.
+    start : functions that are kept of it; None keeps all, and adds at once.
+    repeats : steps with the functions that were kept, before any are added.
     step : functions added at a time.
     strength : variance of the pointwise descriptors beside the eigenfunctions, relative to theirs.
     descriptors : which; see `pointwise_descriptors`.
@@ -144,6 +152,7 @@ class ZoomOutSchedule:
 
     start: int | None = None
     step: int = 20
+    repeats: int = 2
     strength: float = 0.0
     descriptors: PointwiseKind = "curvatures"
 
@@ -166,7 +175,8 @@ class RefinementRules:
     ridge : of the two-way least squares on samples, relative to the mean diagonal entry. Functions that live between
         the samples make the Gram matrix singular, which single precision may turn negative: its largest eigenvalue is
         some thirty times the mean, and rounds to a few millionths of it.
-    closed_form : functions of the two-way steps before the alignment; more cost more and were not better.
+    closed_form : functions of the two-way steps before the alignment, half of all where that is more; more cost more
+        and were not better.
     largest_descriptor : pointwise descriptors are cut at so many standard deviations.
     oriented_functions : low functions whose products with each other and with heat kernel signatures are oriented
         descriptors.

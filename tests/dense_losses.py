@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.alignment.losses import Distortions
+from clalign.alignment.losses import Distortions, Loss
 from clalign.alignment.problem_data import SampledFactors, ShapeData
 from clalign.engine.backend import Backend
 from clalign.engine.reference_arrays import reciprocal
@@ -122,13 +122,13 @@ class DenseTerms:
         there = DenseSoftMap.of(self._host(functional), target.basis, self.sampled, target.soft_weights)
         unsup, slope = distortion(self.kept, self.distances.target, there.matrix, self.weights)
         if functional_back is None:
-            return Distortions({"unsup": unsup}, self.backend.array(there.gradient(slope)))
+            return Distortions({"unsup": Loss(unsup)}, self.backend.array(there.gradient(slope)))
         back = DenseSoftMap.of(self._host(functional_back), source.basis, target.basis, source.soft_weights)
         cycle, around = distortion(self.kept, self.distances.source, back.matrix @ there.matrix, self.weights)
         slope = slope + back.matrix.T @ around
         slope_back = around @ there.matrix.T
         return Distortions(
-            {"unsup": unsup, "cycle": cycle},
+            {"unsup": Loss(unsup), "cycle": Loss(cycle)},
             self.backend.array(there.gradient(slope)),
             self.backend.array(back.gradient(slope_back)),
         )

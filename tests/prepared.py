@@ -103,5 +103,5 @@ def bound(pair: PreparedPair, options: Options, backend: Backend | None = None, 
     objective = bind(source, target, scale_invariant, chosen, options)
     if dense:
         x, y, factors = objective.source, objective.target, objective.factors
-        objective.distances = DenseTerms(x, y, factors, dense_distances(source, target), chosen)
+        objective.distortion_terms = DenseTerms(x, y, factors, dense_distances(source, target), chosen)
     return Bound(objective, start.rotation, truth)

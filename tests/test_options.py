@@ -196,6 +196,9 @@ def test_rules_can_be_changed_down_to_schedules() -> None:
         ({"rules.refinement.schedules": [{"colour": 1}]}, "must hold values of start, step"),
         ({"rules.search.finalists": -1}, "rules.search.finalists must be at least 0"),
         ({"rules.search.wide_radius": "nan"}, "rules.search.wide_radius"),
+        ({"rules.alignment.exponents": ""}, "rules.alignment.exponents must not be empty"),
+        ({"rules.refinement.schedules": [{"step": 0}]}, "schedules.step must be at least 1"),
+        ({"rules.refinement.schedules": [{"descriptors": "colour"}]}, "schedules.descriptors must be one of"),
     ],
 )
 def test_messages_of_rules(changes: dict[str, Any], message: str) -> None:

@@ -1,1 +1,1 @@
-"""From two prepared shapes to R and the maps: search, objective, optimiser, read-out."""
+"""The paper: the objective over the banded R, its terms, the optimiser, and the read-out."""

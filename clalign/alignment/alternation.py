@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from clalign.options import Readout
 LOG = logging.getLogger(__name__)
 
 Watch = Callable[[int, Evaluation], None]
+AlignmentStatus = Status | Literal["not run"]
 
 
 @dataclass(frozen=True)
@@ -36,14 +38,14 @@ class AlignmentState:
     rotation : (d, d) R, zero outside the funnel.
     fixed : the correspondence of R, and λ.
     history : for every evaluation "outer_iteration", "evaluation", "total" and each term.
-    status : why the last iteration ended.
+    status : why the last iteration ended; "not run" before there was one.
     ended : there is no other iteration.
     """
 
     rotation: NDArray[np.float64]
     fixed: FixedCorrespondence
     history: tuple[dict[str, float], ...] = ()
-    status: Status = "budget"
+    status: AlignmentStatus = "not run"
     ended: bool = False
 
 
@@ -64,7 +66,7 @@ class AlignedRotation:
     maps: PointMaps
     history: tuple[dict[str, float], ...]
     losses: dict[str, float]
-    status: Status
+    status: AlignmentStatus
 
 
 def outer_iterations(

@@ -1,4 +1,4 @@
-"""The funnel mask of R (Eq. 25) and the packing of R's entries into the optimiser's vector."""
+"""The funnel of R: the entries that are variables (Eq. 25)."""
 
 from __future__ import annotations
 

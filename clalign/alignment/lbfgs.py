@@ -89,8 +89,8 @@ def minimise(
     objective: Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]],
     start: NDArray[np.float64],
     evaluations: int,
-    relative_tolerance: float = 1e-5,
-    memory: int = 50,
+    relative_tolerance: float,
+    memory: int,
 ) -> Minimum:
     """Minimise a smooth function from `start` with limited-memory BFGS (nlopt ``LD_LBFGS``).
 
@@ -107,7 +107,7 @@ def minimise(
     begin = np.asarray(start, dtype=np.float64)
     if evaluations <= 0 or begin.size == 0:
         value, _ = objective(begin)
-        return Minimum(begin.copy(), float(value), 1, "budget")
+        return Minimum(begin.copy(), float(value), 1, "budget" if np.isfinite(value) else "failed")
     optimiser = nlopt.opt(nlopt.LD_LBFGS, begin.size)
     recorder = _Recorder(objective, begin, optimiser.force_stop)
     optimiser.set_exceptions_enabled(False)

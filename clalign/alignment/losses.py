@@ -8,7 +8,7 @@
 | `UnitarityLoss` | 23 | R | R |
 
 Nothing of size n × n is made: the soft map P enters through Z = PᵀU, distances through low-rank factors. Values are
-arrays of shape () of the backend, so that nothing waits for the device before the whole gradient is queued.
+read when the whole gradient is queued (`Loss`), so that nothing waits for the device before.
 """
 
 from __future__ import annotations
@@ -45,6 +45,23 @@ class FixedCorrespondence:
     weight: float
 
 
+@dataclass(frozen=True)
+class Loss:
+    """A loss that the device still computes: ``float`` waits for it.
+
+    Attributes
+    ----------
+    value : number, or array of shape () on the backend.
+    divisor : of the value.
+    """
+
+    value: Any
+    divisor: float = 1.0
+
+    def __float__(self) -> float:
+        return float(self.value) / self.divisor
+
+
 class AlignmentLoss:
     """l_align(R) = ‖Φ̃R − Ψ̃_π Rᵀ‖² / ‖Ψ̃_π Rᵀ‖² over the source (Eq. 21), from Gram matrices (d, d) alone."""
 
@@ -67,25 +84,23 @@ class AlignmentLoss:
         )
         if rotation is None:
             return FixedCorrespondence(target_of_source, *grams, denominator=None, weight=weight)
-        turn = backend.array(rotation)
-        _, denominator, _, _ = backend.alignment(turn, backend.transpose(turn), *grams, self._band, self._one_sided)
+        at = backend.array(rotation)
+        _, denominator, _, _ = backend.alignment(at, backend.transpose(at), *grams, self._band, self._one_sided)
         return FixedCorrespondence(target_of_source, *grams, denominator=float(denominator), weight=weight)
 
-    def value_and_gradient(self, rotation: Any, transposed: Any, fixed: FixedCorrespondence) -> tuple[Any, Any]:
-        """Return the value and the gradient (d, d) inside the band.
-
-        With a fixed denominator the value still lacks it; only a differentiated one waits for the device here.
-        """
+    def value_and_gradient(self, rotation: Any, transposed: Any, fixed: FixedCorrespondence) -> tuple[Loss, Any]:
+        """Return the value and the gradient (d, d) inside the band; only a differentiated denominator is waited for."""
         backend = self._backend
         grams = fixed.gram_source, fixed.gram_target, fixed.gram_cross
         numerator, denominator, dnumerator, ddenominator = backend.alignment(
             rotation, transposed, *grams, self._band, self._one_sided
         )
         if fixed.denominator is not None:
-            return numerator, backend.add(dnumerator, ddenominator, scale_a=1.0 / fixed.denominator, scale_b=0.0)
+            gradient = backend.add(dnumerator, ddenominator, scale_a=1.0 / fixed.denominator, scale_b=0.0)
+            return Loss(numerator, fixed.denominator), gradient
         scale = 1.0 / float(denominator)
         value = float(numerator) * scale
-        return value, backend.add(dnumerator, ddenominator, scale_a=scale, scale_b=-value * scale)
+        return Loss(value), backend.add(dnumerator, ddenominator, scale_a=scale, scale_b=-value * scale)
 
 
 class UnitarityLoss:
@@ -95,8 +110,8 @@ class UnitarityLoss:
         self._band, self._backend, self._weight = band, backend, weight
         self._identity = backend.array(np.eye(band.size))
 
-    def value(self, rotation: Any, transposed: Any, gradient: Any) -> Any:
-        """Return d² l_uni; the slope of the weighted penalty, if any, is added to `gradient` (d, d)."""
+    def value_adding_gradient(self, rotation: Any, transposed: Any, gradient: Any) -> Loss:
+        """Return the value; the gradient of the weighted penalty, if any, is added to `gradient` (d, d)."""
         backend, band, size = self._backend, self._band, self._band.size
         excess = backend.banded_product(rotation, transposed, left=band, right=band.transposed)
         backend.add(excess, self._identity, scale_b=-1.0, out=excess)
@@ -104,7 +119,7 @@ class UnitarityLoss:
         if self._weight > 0:
             scale = 4.0 * self._weight / size**2
             backend.banded_product(excess, rotation, right=band, kept=band, scale=scale, accumulate=True, out=gradient)
-        return backend.weighted_gram(flat, flat).reshape(())
+        return Loss(backend.weighted_gram(flat, flat).reshape(()), size**2)
 
 
 @dataclass(frozen=True)
@@ -118,7 +133,7 @@ class Distortions:
     slope_back : (k_x, k_y), its gradient by the functional map from Y to X; None without the cycle term.
     """
 
-    terms: dict[str, Any]
+    terms: dict[str, Loss]
     slope: Any
     slope_back: Any = None
 
@@ -173,7 +188,7 @@ class DistortionLoss:
     def __call__(self, functional: Any, functional_back: Any = None) -> Distortions:
         """Return the term alone: there is no map back."""
         value, slope, _ = self.value_and_gradient(functional)
-        return Distortions({"unsup": value}, slope)
+        return Distortions({"unsup": Loss(value)}, slope)
 
 
 class CycleLoss:
@@ -209,7 +224,7 @@ class CycleLoss:
         dpacked = self._moments_gradient(there.carried, s, dz)
         dz_back = backend.packed_moments_gradient(self._basis_target, self._weights_target, dpacked)
         slope_back = back.gradient(backend, self._basis_target, dz_back)
-        return Distortions({"unsup": unsup, "cycle": cycle}, backend.add(slope, cycle_slope), slope_back)
+        return Distortions({"unsup": Loss(unsup), "cycle": Loss(cycle)}, backend.add(slope, cycle_slope), slope_back)
 
     def _moments_gradient(self, carried: Any, s: Any, dz: Any) -> Any:
         """Return the gradient by the packed moments: Σ_j vech(c_j c_jᵀ) dz_jr / s_j, without rows where s_j = 0."""

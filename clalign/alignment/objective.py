@@ -50,7 +50,7 @@ class Objective:
     band : the variables.
     backend : where the arithmetic runs; one thread only.
     options, rules : variants of the objective, and its constants.
-    distances : Eq. 22 and 31; None evaluates them from low-rank factors.
+    distortion_terms : Eq. 22 and 31; None evaluates them from low-rank factors.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Objective:
         backend: Backend,
         options: AlignmentOptions,
         rules: AlignmentRules,
-        distances: DistanceTerms | None = None,
+        distortion_terms: DistanceTerms | None = None,
     ) -> None:
         self.source, self.target, self.factors = source, target, factors
         self.band, self.backend, self.options, self.rules = band, backend, options, rules
@@ -73,7 +73,9 @@ class Objective:
         self._coefficients = AlignedCoefficients(
             source.projection, target.projection, band, backend, one_sided=self._one_sided, ridge=rules.ridge
         )
-        self.distances = distances or distance_terms(source, target, factors, backend, cycle=options.cycle)
+        self.distortion_terms = distortion_terms or distance_terms(
+            source, target, factors, backend, cycle=options.cycle
+        )
 
     def fix(
         self, rotation: NDArray[np.float64], target_of_source: NDArray[np.int64], weight: float
@@ -105,8 +107,8 @@ class Objective:
     def embeddings(self, rotation: NDArray[np.float64]) -> tuple[Any, Any]:
         """Return Φ̃ R (n_x, d) and Ψ̃ Rᵀ (n_y, d) (one-sided: Ψ̃), arrays of the backend."""
         backend, (x, y) = self.backend, self.scale_invariant
-        turn, transposed = self._both(rotation)
-        source = backend.banded_product(x, turn, right=self.band)
+        uploaded, transposed = self._both(rotation)
+        source = backend.banded_product(x, uploaded, right=self.band)
         return source, y if self._one_sided else backend.banded_product(y, transposed, right=self.band.transposed)
 
     def functional_map(self, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -123,20 +125,17 @@ class Objective:
         alpha, beta = through.coefficients(rotation, transposed)
         functional, gram = through.solve(alpha, beta)
         functional_back, gram_back = through.solve(beta, alpha) if options.cycle else (None, None)
-        distortions = self.distances(functional, functional_back)
+        distortions = self.distortion_terms(functional, functional_back)
         dalpha, dbeta = through.solve_gradient(distortions.slope, functional, gram, alpha, beta)
         if options.cycle:
             back = through.solve_gradient(distortions.slope_back, functional_back, gram_back, beta, alpha)
             dalpha, dbeta = backend.add(dalpha, back[1]), backend.add(dbeta, back[0])
         weight = fixed.weight * (0.5 if options.cycle else 1.0)
         through.add_gradient(dalpha, dbeta, weight, gradient)
-        unitarity = self._unitarity.value(rotation, transposed, gradient)
+        unitarity = self._unitarity.value_adding_gradient(rotation, transposed, gradient)
         packed = backend.numpy(backend.band_gather(gradient, self.band)).astype(np.float64)
-        scalars = {"align": align, **distortions.terms, "unitarity": unitarity}
-        terms = {name: float(value) for name, value in scalars.items()}
-        if fixed.denominator is not None:
-            terms["align"] /= fixed.denominator
-        terms["unitarity"] /= self.band.size**2
+        losses = {"align": align, **distortions.terms, "unitarity": unitarity}
+        terms = {name: float(loss) for name, loss in losses.items()}
         distortion = terms["unsup"] + terms.get("cycle", 0.0)
         total = terms["align"] + weight * distortion + options.unitarity * terms["unitarity"]
         return Evaluation(total, terms, packed)

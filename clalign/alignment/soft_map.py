@@ -1,4 +1,4 @@
-"""The two ways to evaluate the soft map P of Eq. 27, Z = PᵀU and its gradient, and which of them is cheaper.
+"""The two ways to evaluate the soft map P of Eq. 15 and 27, Z = PᵀU and its gradient, and which of them is cheaper.
 
 Both compute the same numbers where `normal` is ψᵀ diag(w) ψ (None: the identity, with ψ orthonormal in w), apart from
 rounding: moments are summed over all vertices of the side beforehand, into packed moments, the streamed form in
@@ -86,7 +86,7 @@ def streaming_pays(rows: int, vertices: int, functions: int, rank: int) -> bool:
 
 
 def moments_soft_map(backend: Backend, side: ShapeData) -> MomentsSoftMap:
-    """Return P towards the vertices of `side`, as a moments."""
+    """Return P towards the vertices of `side`, through moments."""
     array = backend.array
     packed = backend.packed_moments(array(side.basis), array(side.soft_weights), array(side.left))
     return MomentsSoftMap(packed, None if side.normal is None else array(side.normal))

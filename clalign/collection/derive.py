@@ -16,6 +16,7 @@ from clalign.geometry.shape import Shape, equally_smoothed
 from clalign.matching.loop import Clock
 from clalign.matching.result import local_distortion
 from clalign.matching.stages import refined_maps, steps_before_alignment
+from clalign.matching.state import aligned_count
 from clalign.options import Options
 from clalign.refinement.zoomout import BoundSpectra, two_way_steps
 
@@ -34,7 +35,7 @@ def derived_correspondence(
     source, target = equally_smoothed(source, target, options.spectrum)
     with clock.stage("refinement"):
         maps = refined_maps(source, target, functional, options, backend)
-    count = min(options.spectrum.scale_invariant, source.scale_invariant.count, target.scale_invariant.count)
+    count = aligned_count(source, target, options)
     scale_invariant = source.scale_invariant.head(count), target.scale_invariant.head(count)
     with clock.stage("read-out"):
         # As many steps as a match makes before and after its optimisation.

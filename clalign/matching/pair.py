@@ -15,7 +15,7 @@ from clalign.geometry.cache import ShapeCache
 from clalign.geometry.shape import Shape, prepare_pair
 from clalign.geometry.workers import single_threaded_blas
 from clalign.matching.loop import Clock, run_stages
-from clalign.matching.result import correspondence
+from clalign.matching.result import correspondence, warn_of_doubts
 from clalign.matching.state import MatchState
 from clalign.mesh.mesh import as_mesh
 from clalign.options import Options
@@ -82,8 +82,10 @@ def match_shapes(
         state = run_stages(state, backend, clock)
     try:
         with plain_interrupts():
-            return correspondence(state, backend, options, clock.seconds)
+            result = correspondence(state, backend, options, clock.seconds)
     except KeyboardInterrupt:
         state = state.cut_short()
-    with plain_interrupts():
-        return correspondence(state, backend, options, clock.seconds)
+        with plain_interrupts():
+            result = correspondence(state, backend, options, clock.seconds)
+    warn_of_doubts(state, options)
+    return result

@@ -26,15 +26,12 @@ NO_FINITE_VALUE = "the objective had no finite value, and the optimisation of R 
 def correspondence(state: MatchState, backend: Backend, options: Options, timings: dict[str, float]) -> Correspondence:
     """Return the result of a match that went through all its stages, in the vertex numbering of the files.
 
-    Doubts about the map itself are raised as Python warnings, too.
-
     Parameters
     ----------
     options : as the user gave them.
     """
     source, target, found = state.source, state.target, state.found
     maps, aligned, functional_map = required(state.maps), required(state.aligned), required(state.functional_map)
-    confidence = float("nan") if found is None else 1.0 - float(np.exp(-found.margin))
     size = len(functional_map)
     points = state.points
     source_scale_invariant, target_scale_invariant = state.scale_invariant(required(state.start).signs)
@@ -51,12 +48,12 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
         target_scale_invariant=target_scale_invariant,
         history=aligned.history,
         losses=aligned.losses,
-        confidence=confidence,
+        confidence=float("nan") if found is None else found.confidence,
         orientation=float("nan") if found is None else found.chosen.orientation,
         distortion=local_distortion(source, target, maps.target_of_source),
         alternatives=_alternatives(state),
         timings=timings,
-        warnings=_warnings(state, confidence, options),
+        warnings=(*_remarks(state, options), *_failures(state), *_doubts(state, options.rules.judgement)),
         device=backend.name,
         options=options,
         versions=_versions(),
@@ -101,32 +98,38 @@ def _alternatives(state: MatchState) -> tuple[Alternative, ...]:
     )
 
 
-def _warnings(state: MatchState, confidence: float, options: Options) -> tuple[str, ...]:
-    """Return what a user has to know; doubts about the map itself are raised as Python warnings, too.
-
-    Those are a low confidence or orientation, a map that was not searched for, and an objective without a finite value.
-    What the user has done (Ctrl-C), asked for (more maps than there are) or can read of a mesh in its notes is only
-    returned.
-    """
-    messages, count = [], len(state.alternatives)
+def _remarks(state: MatchState, options: Options) -> list[str]:
+    """Return what the user has done (Ctrl-C), asked for (more maps than there are) or can read in a mesh's notes."""
+    remarks, count = [], len(state.alternatives)
     if state.interrupted:
-        messages.append("interrupted: what was left to do was cut short, and the best map so far was kept")
+        remarks.append("interrupted: what was left to do was cut short, and the best map so far was kept")
     elif state.found is not None and count < options.search.alternatives:
         found = f"only {count} different map{' was' if count == 1 else 's were'}"
-        messages.append(f"{found if count else 'no different map was'} found ({options.search.alternatives} asked for)")
-    messages += [f"{mesh.name}: {note}" for mesh in (state.source.mesh, state.target.mesh) for note in mesh.notes]
-    failures = [NO_FINITE_VALUE] if required(state.aligned).status == "failed" else []
-    doubts = _doubts(state, confidence, options.rules.judgement)
-    for texts, category in ((failures, ClalignWarning), (doubts, ConfidenceWarning)):
+        remarks.append(f"{found if count else 'no different map was'} found ({options.search.alternatives} asked for)")
+    return remarks + [f"{mesh.name}: {note}" for mesh in (state.source.mesh, state.target.mesh) for note in mesh.notes]
+
+
+def _failures(state: MatchState) -> list[str]:
+    return [NO_FINITE_VALUE] if required(state.aligned).status == "failed" else []
+
+
+def warn_of_doubts(state: MatchState, options: Options) -> None:
+    """Raise as Python warnings what puts the map itself in doubt.
+
+    A low confidence or orientation, a map that was not searched for, an objective without a finite value.
+    """
+    for texts, category in (
+        (_failures(state), ClalignWarning),
+        (_doubts(state, options.rules.judgement), ConfidenceWarning),
+    ):
         for text in texts:
             python_warnings.warn(text, category, stacklevel=_users_level())
-    return (*messages, *failures, *doubts)
 
 
-def _doubts(state: MatchState, confidence: float, rules: JudgementRules) -> list[str]:
+def _doubts(state: MatchState, rules: JudgementRules) -> list[str]:
     if state.found is None:
         return ["no search was made (search.method=random), so the map may be mirrored or wrong"]
-    doubts, orientation = [], state.found.chosen.orientation
+    doubts, orientation, confidence = [], state.found.chosen.orientation, state.found.confidence
     if abs(orientation) < rules.low_orientation:
         doubts.append(
             f"orientation {orientation:+.2f}: parts of the map are turned inside out; one shape may be a "

@@ -9,24 +9,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.alignment.alternation import finished, outer_iterations
 from clalign.alignment.band import funnel_band
-from clalign.alignment.metric import choose_metric
 from clalign.alignment.objective import Evaluation, Objective
 from clalign.alignment.problem_data import sampled_factors, shape_data
+from clalign.alignment.readout import hard_map
 from clalign.alignment.rotation import StartingRotation, least_squares_start, random_rotation
 from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape, equally_smoothed
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.point_maps import PointMaps
-from clalign.matching.state import MatchState, required
+from clalign.matching.metric import choose_metric
+from clalign.matching.state import MatchState, aligned_count, required
 from clalign.options import Options
 from clalign.refinement.patches import patchwise_maps
-from clalign.refinement.precise import closest_points
+from clalign.refinement.precise import SurfacePoints, closest_points
 from clalign.refinement.zoomout import BoundSpectra, best_grown_map, two_way_step, two_way_steps, vertex_maps
 from clalign.search.find import find_isometry
 
@@ -40,7 +42,7 @@ class Stage:
     Attributes
     ----------
     name : in timings and progress.
-    needed : whether a state has not been through it.
+    needed : whether there is something left to do for it.
     run : yields states.
     """
 
@@ -149,14 +151,29 @@ def read_out(state: MatchState, backend: Backend, report: Report) -> Iterator[Ma
         state = replace(state, maps=maps, steps=step + 1)
         yield state
     if state.options.readout.subvertex:
-        queries, points = (backend.numpy(each) for each in embedded or objective.embeddings(aligned.rotation))
-        faces = state.target.mesh.faces
-        yield replace(state, points=closest_points(queries, points, faces, maps.target_of_source))
+        yield replace(state, points=_points(state, objective, aligned.rotation, embedded, maps, backend))
+
+
+def _points(
+    state: MatchState,
+    objective: Objective,
+    rotation: NDArray[np.float64],
+    embedded: tuple[Any, Any] | None,
+    maps: PointMaps,
+    backend: Backend,
+) -> SurfacePoints:
+    """Return the matches as points in faces, in the embeddings that `maps` were read from, else in those of R."""
+    nearest = maps.target_of_source
+    if embedded is None:
+        embedded = objective.embeddings(rotation)
+        nearest = hard_map(objective, rotation, "aligned", nearest)
+    queries, points = (backend.numpy(each) for each in embedded)
+    return closest_points(queries, points, state.target.mesh.faces, nearest)
 
 
 STAGES = (
     Stage("metric", lambda state: state.source.smoothing != state.target.smoothing, smooth),
-    Stage("search", lambda state: state.options.search.method != "random", search),
+    Stage("search", lambda state: state.found is None and state.options.search.method != "random", search),
     Stage("refinement", lambda state: state.found is not None, refine),
     Stage(
         "metric",
@@ -175,7 +192,7 @@ def refined_maps(
     """Return the maps between all vertices that a functional map of the search leads to, refined as the options say."""
     size, rules = options.spectrum.refinement, options.rules
     if options.readout.refine == "patches":
-        count = min(options.spectrum.scale_invariant, source.scale_invariant.count, target.scale_invariant.count)
+        count = aligned_count(source, target, options)
         high = source.scale_invariant.head(count), target.scale_invariant.head(count)
         return patchwise_maps(source, target, high, functional, size, rules.refinement, backend)
     if options.readout.refine == "zoomout":

@@ -36,6 +36,11 @@ def required(value: Value | None) -> Value:
     return value
 
 
+def aligned_count(source: Shape, target: Shape, options: Options) -> int:
+    """Return d, the number of scale-invariant eigenfunctions that R aligns."""
+    return min(options.spectrum.scale_invariant, source.scale_invariant.count, target.scale_invariant.count)
+
+
 @dataclass(frozen=True)
 class MatchState:
     """How far a pair has come, in the compact vertex order of the meshes.
@@ -84,9 +89,7 @@ class MatchState:
     @property
     def count(self) -> int:
         """Number d of scale-invariant eigenfunctions that R aligns."""
-        return min(
-            self.options.spectrum.scale_invariant, self.source.scale_invariant.count, self.target.scale_invariant.count
-        )
+        return aligned_count(self.source, self.target, self.options)
 
     @property
     def band(self) -> Band:

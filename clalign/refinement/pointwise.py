@@ -19,7 +19,7 @@ from clalign.rules import PointwiseKind, RefinementRules
 def pointwise_descriptors(
     source: Shape, target: Shape, functional: NDArray[np.float64], kind: PointwiseKind, rules: RefinementRules
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return descriptors at all vertices of both shapes, (n_x, f) and (n_y, f), of variance about 1 and cut at 3.
+    """Return descriptors at all vertices of both shapes, (n_x, f) and (n_y, f), of variance about 1 and cut.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def grown_map(
     kept = min(schedule.start or len(functional), len(functional), largest)
     sizes = [*range(kept + schedule.step, largest, schedule.step), largest]
     if schedule.start is not None:
-        sizes = [kept, kept, *sizes]
+        sizes = [*schedule.repeats * [kept], *sizes]
     functional = functional[:kept, :kept]
     beside_x, beside_y = pointwise_descriptors(source, target, functional, schedule.descriptors, rules)
     beside_x, beside_y = beside_x[order], beside_y[queried.vertices]

@@ -1,7 +1,8 @@
-"""The whole search: trees, closure, re-unfolding, a fine step, and the choice."""
+"""The whole search: trees, compositions with self-maps, unfolding once more, a fine step, and the choice."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -51,6 +52,11 @@ class SearchResult:
     alternatives: tuple[Candidate, ...]
     margin: float
 
+    @property
+    def confidence(self) -> float:
+        """In [0, 1], by how much the chosen map beats the best different one: 1 − exp(−margin)."""
+        return 1.0 - math.exp(-self.margin)
+
 
 def find_isometry(
     source: Shape,
@@ -77,7 +83,8 @@ def find_isometry(
         results.append(_search(SamplePair(samples_x, samples_y, backend), rules, report))
     if orientation in ("reversing", "any"):
         found = _search(SamplePair(samples_x, samples_y.mirrored(), backend), rules, report)
-        results.append(replace(found, chosen=_mirrored(found.chosen)))
+        mirrored = tuple(_mirrored(each) for each in found.alternatives)
+        results.append(replace(found, chosen=_mirrored(found.chosen), alternatives=mirrored))
     return min(results, key=lambda result: result.chosen.score)
 
 
@@ -117,9 +124,8 @@ def _tree_candidates(pair: SamplePair, rules: SearchRules, report: Callable[[flo
     unfolded = unfolded_again(pair, wide.functional[: rules.unfolded_again], rules)
     grown = [up_sample(pair, batch.functional, [rules.unfold_join]) for batch in unfolded if batch.count]
     again = [widened(pair, _joined(grown), rules.wide_most, rules)] if grown else []
-    size = wide.functional.shape[1]
     parts = [wide, widened(pair, compositions, rules.wide_most, rules), *again]
-    union = np.concatenate([part.functional for part in parts if part.functional.shape[1] == size])
+    union = np.concatenate([part.functional for part in parts])
     report(0.65)
     final = up_sample(pair, union, [rules.joined])
     scores = pair.orientations(final, rules.scored_products)

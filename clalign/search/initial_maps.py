@@ -72,4 +72,4 @@ def oriented_initial_maps(
     """Unfold every block at every strength, settle by ZoomOut steps, and drop what is mirrored."""
     started = np.concatenate([unfold(pair, blocks, strength, rules) for strength in strengths])
     batch = up_sample(pair, started, rules.settle)
-    return batch.take(pair.orientations(batch, rules.scored_products) > 0)
+    return batch.take(pair.orientations(batch, rules.scored_products) > rules.settled_orientation)

@@ -87,8 +87,11 @@ def ranked(pair: SamplePair, batch: Batch, points: int, rules: SearchRules) -> R
     order = np.lexsort((scores, orientation <= rules.least_orientation))
     batch, scores, orientation = batch.take(order), scores[order], orientation[order]
     between = map_distances(pair, batch.index, points)
+    passed = orientation > rules.least_orientation
+    # Where none passes, the best of those that failed has the others that failed to beat.
+    eligible = passed if passed.any() else ~passed
     distinct = [0]
     for candidate in range(1, batch.count):
-        if orientation[candidate] > rules.least_orientation and np.all(between[distinct, candidate] > rules.distinct):
+        if eligible[candidate] and np.all(between[distinct, candidate] > rules.distinct):
             distinct.append(candidate)
     return Ranking(batch, scores, orientation, tuple(distinct), tuple(float(between[0, each]) for each in distinct))

@@ -25,7 +25,7 @@ def self_maps(pair: SamplePair, rules: SearchRules) -> NDArray[np.float32]:
     ----------
     pair : a shape paired with itself.
     """
-    batch = widened(pair, grow(pair, rules.plain, rules).functional, 4 * rules.self_maps, rules)
+    batch = widened(pair, grow(pair, rules.plain, rules).functional, rules.self_maps_among, rules)
     queries = batch.index.shape[0]
     own = np.arange(queries)
     distances = pair.source.distances[batch.index, own[:, None]]

@@ -43,7 +43,7 @@ def thinned(pair: SamplePair, batch: Batch, level: Level, rules: TreeRules, prod
         batch = batch.take(kept if kept.any() else scores == scores.max())
     values = distortions(pair, batch.index, pair.fitted(level).points)
     order = np.argsort(values, kind="stable")
-    order = order[values[order] < rules.slack * values[order[0]] + rules.margin][: 4 * rules.most]
+    order = order[values[order] < rules.slack * values[order[0]] + rules.margin][: rules.among * rules.most]
     batch = batch.take(order)
     between = map_distances(pair, batch.index, pair.fitted(level).points)
     kept_candidates = without_duplicates(between, np.arange(batch.count), rules.radius, rules.most)

@@ -56,7 +56,7 @@ def started(
 
 def soft_map_of(pair: Bound) -> object:
     """Return the soft map from X to Y of Eq. 22."""
-    terms = pair.problem.distances
+    terms = pair.problem.distortion_terms
     assert isinstance(terms, DistortionLoss)
     return terms._soft_map
 
@@ -115,7 +115,7 @@ def test_the_form_of_the_soft_map_is_the_one_of_fewer_operations(
     assert isinstance(soft_map_of(bound(small, SMALL)), MomentsSoftMap)
     many = SMALL.replace({"spectrum.basis": 50, "spectrum.refinement": 50, "spectrum.scale_invariant": 60})
     prepared = prepared_pair(tiny_pair(), many)
-    cycle = bound(prepared, many.replace({"alignment.cycle": True})).problem.distances
+    cycle = bound(prepared, many.replace({"alignment.cycle": True})).problem.distortion_terms
     assert isinstance(cycle, CycleLoss)
     assert isinstance(cycle._distortion._soft_map, MomentsSoftMap)
     monkeypatch.setattr(Reference, "packed_moments", lambda *_: pytest.fail("moments that nobody reads"))
@@ -169,9 +169,9 @@ def test_a_vertex_without_functions_leaves_the_gradient_finite(
     basis[bound_pair.factors.vertices[3]] = 0
     arguments = replace(bound_pair.source, basis=basis), bound_pair.target, bound_pair.factors
     shared = bound_pair.band, bound_pair.backend, bound_pair.options, bound_pair.rules
-    terms = bound_pair.distances
+    terms = bound_pair.distortion_terms
     literal = DenseTerms(*arguments, terms.distances, bound_pair.backend) if isinstance(terms, DenseTerms) else None
-    problem = Objective(*arguments, *shared, distances=literal)
+    problem = Objective(*arguments, *shared, distortion_terms=literal)
     fixed, x = started(pair._replace(problem=problem), rng)
     evaluation = problem.value_and_gradient(x, fixed)
     assert np.isfinite(evaluation.total)
@@ -227,8 +227,8 @@ def test_literal_loss_is_equation_22(small: PreparedPair, bind_small: Callable[.
     """From the formulas as printed: |Psi C Phi^T|, columns normalised, squared; uniform weights."""
     pair = bind_small({"alignment.weights": "uniform", "alignment.samples": 0}, dense=True)
     problem = pair.problem
-    assert isinstance(problem.distances, DenseTerms)
-    distances = problem.distances.distances
+    assert isinstance(problem.distortion_terms, DenseTerms)
+    distances = problem.distortion_terms.distances
     fixed = problem.fix(pair.rotation, pair.truth.target_of_source, 1.0)
     reported = problem.value_and_gradient(problem.pack(pair.rotation), fixed).terms["unsup"]
     basis = [shape.basis.functions[:, : SMALL.spectrum.basis] for shape in (small.source, small.target)]

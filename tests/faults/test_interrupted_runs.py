@@ -73,6 +73,25 @@ def test_during_the_search_nothing_is_kept(
     assert left_in(tmp_path) == []
 
 
+def test_a_search_that_has_ended_is_not_made_again(match: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The interrupt falls between the end of the search and what comes next."""
+    searches, find = [], pkgutil.resolve_name("clalign.matching.stages.find_isometry")
+    monkeypatch.setattr("clalign.matching.stages.find_isometry", lambda *a: searches.append(a) or find(*a))
+    plain, stage = pkgutil.resolve_name("clalign.matching.loop.time.perf_counter"), []
+
+    def ticking() -> float:
+        if searches and not stage and pkgutil.resolve_name("inspect.stack")()[1].function == "stage":
+            stage.append(1)
+            raise KeyboardInterrupt
+        return float(plain())
+
+    monkeypatch.setattr("clalign.matching.loop.time.perf_counter", ticking)
+    shown = match(tmp_path / "out", *WHOLE)
+    assert shown.status == 0, shown.err
+    assert len(searches) == 1
+    assert Correspondence.load(tmp_path / "out").status == "interrupted"
+
+
 @pytest.mark.parametrize(
     ("place", "after"),
     [

@@ -29,6 +29,7 @@ from clalign.search.batch import (
 )
 from clalign.search.find import find_isometry
 from clalign.search.initial_maps import oriented_initial_maps, sign_patterns, unfold
+from clalign.search.score import ranked
 from clalign.search.symmetries import composed, self_maps
 from clalign.search.tree import branched
 
@@ -284,3 +285,22 @@ def test_a_very_small_shape_against_a_larger_one(swapped: bool, kernels: Backend
     coarse_to_fine = maps.source_of_target if swapped else maps.target_of_source
     fine = all_pairs(pair[1].mesh)
     assert fine[coarse_to_fine, np.arange(42)].mean() < 0.2
+
+
+def test_where_no_candidate_keeps_the_orientation_the_best_still_has_others_to_beat(own: SamplePair) -> None:
+    """Two mirrored maps: confidence comes from comparing them, not from there being nobody else."""
+    identity = np.eye(20, dtype=np.float32)
+    other = np.diag(np.where(np.arange(20) % 2, -1.0, 1.0)).astype(np.float32)
+    level = own.fit(20, 200, 250)
+    batch = up_sample(own, np.stack([identity, other]), [level])
+    ranking = ranked(own, batch, level.points, replace(RULES, least_orientation=2.0))
+    assert len(ranking.distinct) == 2
+    assert np.isfinite(ranking.margin)
+
+
+def test_a_mirrored_search_tells_the_orientation_of_every_map(
+    shape: Shape, image: tuple[Shape, NDArray[np.int64]], kernels: Backend
+) -> None:
+    found = find_isometry(shape, image[0], "reversing", replace(RULES, distinct=1e-6), kernels)
+    assert found.alternatives
+    assert all(each.orientation < 0 for each in (found.chosen, *found.alternatives))

@@ -8,10 +8,10 @@ import numpy as np
 from prepared import MIDDLE, PreparedPair
 
 from clalign.alignment.band import funnel_band
-from clalign.alignment.metric import choose_metric
 from clalign.engine import Reference
 from clalign.geometry.shape import with_scale_invariant
 from clalign.maps.point_maps import PointMaps
+from clalign.matching.metric import choose_metric
 from clalign.rules import AlignmentRules
 
 EXPONENTS = AlignmentRules().exponents

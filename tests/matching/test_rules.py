@@ -1,0 +1,107 @@
+"""Rules are read where they should be, and steer what they say."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from prepared import MIDDLE, PreparedPair
+
+from clalign import rules
+from clalign.engine import Backend
+from clalign.geometry.shape import with_scale_invariant
+from clalign.matching.loop import Clock, run_stages
+from clalign.matching.result import _doubts
+from clalign.matching.stages import start_rotation
+from clalign.matching.state import MatchState
+from clalign.option_values import leaves
+from clalign.options import Options
+from clalign.rules import JudgementRules, Rules
+from clalign.search.find import Candidate, SearchResult
+
+CLASSES = [each for each in vars(rules).values() if isinstance(each, type) and dataclasses.is_dataclass(each)]
+
+
+@pytest.fixture
+def read(monkeypatch: pytest.MonkeyPatch) -> Iterator[set[str]]:
+    """Collect "Class.field" of every rule that is read."""
+    seen: set[str] = set()
+    for each in CLASSES:
+        fields = {field.name for field in dataclasses.fields(each)}
+
+        def watched(self: Any, name: str, kind: type = each, fields: set[str] = fields) -> Any:
+            if name in fields:
+                seen.add(f"{kind.__name__}.{name}")
+            return object.__getattribute__(self, name)
+
+        monkeypatch.setattr(each, "__getattribute__", watched)
+    yield seen
+    monkeypatch.undo()
+
+
+def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: set[str]) -> None:
+    """A rule that nothing reads is a number that steers nothing."""
+    options = MIDDLE.replace({"spectrum.metric": "auto", "spectrum.xi": 0.5, "alignment.outer_iterations": 1})
+    source, target = (with_scale_invariant(shape, options.spectrum) for shape in middle[:2])
+    other = options.replace({"readout.refine": "zoomout", "readout.steps": 1})
+    read.clear()
+    with np.errstate(all="ignore"):
+        state = run_stages(MatchState(source, target, options, 0.5), kernels, Clock())
+        *_, _ = start_rotation(dataclasses.replace(state, options=other, start=None), kernels, lambda *_: None)
+    # Judged in the result, and read by collections only.
+    elsewhere = {"JudgementRules", "CollectionRules", "Rules"}
+    expected = {
+        f"{each.__name__}.{field.name}"
+        for each in CLASSES
+        if each.__name__ not in elsewhere
+        for field in dataclasses.fields(each)
+    }
+    assert expected - read == set()
+    assert not {name for name in read if name.startswith("JudgementRules.")}
+
+
+def doubts(margin: float, orientation: float, judgement: JudgementRules) -> list[str]:
+    candidate = Candidate(np.eye(3), 1.0, orientation, 0.0)
+    state = SimpleNamespace(found=SearchResult(candidate, (), margin), alternatives=())
+    return _doubts(state, judgement)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_doubts_begin_at_the_rules(sign: float) -> None:
+    default = JudgementRules()
+    assert doubts(0.2, sign * 0.95, default) == []
+    assert ["low confidence" in text for text in doubts(0.1, sign * 0.95, default)] == [True]
+    assert ["orientation" in text for text in doubts(0.2, sign * 0.85, default)] == [True]
+    assert len(doubts(0.1, sign * 0.85, default)) == 2
+    assert doubts(0.1, sign * 0.85, JudgementRules(low_confidence=0.05, low_orientation=0.8)) == []
+
+
+def test_rules_go_with_the_options_into_the_result_and_back() -> None:
+    changed = Options().replace({"rules.search.finalists": 7, "rules.refinement.settle": "150,250"})
+    values = changed.as_dict()
+    assert values["rules"]["search"]["finalists"] == 7
+    assert Options.from_dict(values) == changed != Options()
+    assert {name for name, _ in leaves(changed) if name.startswith("rules.")} == {
+        f"rules.{name}" for name, _ in leaves(Rules())
+    }
+
+
+def test_a_rule_changes_the_search(middle: PreparedPair, kernels: Backend) -> None:
+    """Maps that are closer than `distinct` are one map: with a tiny radius there are alternatives, with a huge none."""
+    found = {}
+    for distinct in (1e-6, 10.0):
+        options = MIDDLE.replace({"rules.search.distinct": distinct, "readout.refine": "none"})
+        state = MatchState(middle.source, middle.target, options.replace({"alignment.outer_iterations": 0}), 0.3)
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found[distinct] = run_stages(state, kernels, Clock()).found
+    assert found[10.0] is not None
+    assert found[1e-6] is not None
+    assert len(found[10.0].alternatives) == 0
+    assert len(found[1e-6].alternatives) > 0
+    assert np.isinf(found[10.0].margin)
