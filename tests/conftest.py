@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -31,6 +32,9 @@ os.environ["XDG_CACHE_HOME"] = str(_SCRATCH / "xdg")
 os.environ.pop("CLALIGN_DEVICE", None)
 os.environ.pop("CLALIGN_DEBUG", None)
 (_SCRATCH / "pocl").mkdir()
+
+# A shell that starts the tests in the background has Ctrl-C ignored, and so would every program that they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_unconfigure() -> None:
@@ -113,7 +117,19 @@ def middle(bumpy_pair: Pair) -> PreparedPair:
 
 
 @pytest.fixture(scope="session")
-def kernels() -> Backend:
+def opencl() -> None:
+    """For tests that need an OpenCL device, of whatever kind: skips them where there is none."""
+    from clalign.engine.device_choice import list_devices
+    from clalign.errors import DeviceError
+
+    try:
+        list_devices()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def kernels(opencl: None) -> Backend:
     from clalign.engine import open_backend
 
     return open_backend()

@@ -35,4 +35,4 @@ Run = Callable[..., Shown]
 
 def left_in(folder: Path) -> list[str]:
     """Names of all files and folders below, hidden ones too."""
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))

@@ -25,6 +25,9 @@ ALLOWED = (
 """Parts of the reasons that stay: rights, hardware, its driver, and one package of several gigabytes."""
 
 
+posix = pytest.mark.skipif(os.name != "posix", reason="signals, pipes and rights as POSIX has them")
+
+
 def _judged(report: Report) -> Report:
     if report.skipped and os.environ.get(VARIABLE) == "1" and not hasattr(report, "wasxfail"):
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longreprtext

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import signal
 import subprocess
 import sys
 import textwrap
@@ -256,7 +255,7 @@ def test_kill_at_any_moment_leaves_a_whole_folder(tmp_path: Path, rng: np.random
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
         time.sleep(delay)
-        process.send_signal(signal.SIGKILL)
+        process.kill()
         process.wait()
         process.stdout.close()
         with atomic_folder(tmp_path / "result", MARKER, force=True) as unfinished:

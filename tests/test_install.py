@@ -35,8 +35,8 @@ def run(*command: str | Path, cwd: Path = ROOT) -> str:
 
 def fresh_environment(folder: Path) -> Path:
     """Make a virtual environment that sees this one's packages, but not its clalign; return its Python."""
-    venv.create(folder, with_pip=False, symlinks=True)
-    python = folder / "bin" / "python"
+    venv.create(folder, with_pip=False, symlinks=os.name == "posix")
+    python = folder / ("bin" if os.name == "posix" else "Scripts") / "python"
     site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).strip())
     # A plain line adds the folder without reading the .pth files inside it, such as that of an editable clalign.
     (site / "packages.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")

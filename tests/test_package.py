@@ -58,6 +58,17 @@ def test_match_stays_the_function_however_modules_are_imported() -> None:
     assert done.stdout == "True\n"
 
 
+def test_tests_mirror_the_rooms() -> None:
+    """Beside them stand the tests of the pages, of what goes wrong, and of what must not change a match."""
+    root = Path(__file__).parents[1]
+    rooms = {path.parent.name for path in (root / "clalign").glob("*/__init__.py")} - {"data"}
+    assert {path.parent.name for path in (root / "tests").glob("*/test_*.py")} == rooms | {
+        "docs",
+        "faults",
+        "invariances",
+    }
+
+
 def test_version_is_the_one_that_the_citation_names() -> None:
     root = Path(__file__).parents[1]
     assert f"version: {clalign.__version__}\n" in (root / "CITATION.cff").read_text(encoding="utf-8")

@@ -16,7 +16,6 @@ from clalign.mesh.mesh import mesh_from_arrays
 @pytest.mark.filterwarnings("ignore")
 def test_pyfm_maps_from_source_to_target() -> None:
     """A shuffled copy of a shape without symmetry: a map in the wrong direction would be a random one."""
-    pytest.importorskip("pyFM")
     source = mesh_from_arrays(*shapes.bumpy_sphere(3), name="bumpy")
     moved = renumber(source, seed=1)
     outcome = PyfmMethod(refined=60)(LoadedPair("bumpy", source, moved.mesh, moved.truth, None))
@@ -27,7 +26,6 @@ def test_pyfm_maps_from_source_to_target() -> None:
 
 
 def test_settings_tell_values_apart() -> None:
-    pytest.importorskip("pyFM")
     assert PyfmMethod().settings != PyfmMethod(orientation=0.2).settings
     assert PyfmMethod().settings == PyfmMethod().settings
 

@@ -75,7 +75,6 @@ def test_subdivision_keeps_the_surface(mesh: Mesh) -> None:
 
 
 def test_decimation_keeps_the_shape(mesh: Mesh) -> None:
-    pytest.importorskip("fast_simplification")
     coarse = perturb.decimate(mesh, 0.5)
     assert coarse.mesh.n_faces == pytest.approx(0.5 * mesh.n_faces, rel=0.02)
     gap = positions(coarse.mesh)[coarse.truth.target_points] - positions(mesh)[coarse.truth.source_points]

@@ -5,11 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import pytest
-
 from clalign.collection.cluster import open_client, worker_environment
-
-pytest.importorskip("distributed")
 
 
 def test_each_run_shares_the_processors_out_anew(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -11,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from collections_small import ARGUMENTS, OPTIONS, mean_error, write_shapes
 from numpy.typing import NDArray
@@ -20,8 +20,6 @@ from clalign.collection.result import Collection
 from clalign.collection.rows import PairRow, pair_rows
 from clalign.collection.run import match_collection
 from clalign.errors import OptionError, ResultError
-
-pytest.importorskip("distributed")
 
 PROGRAM = [sys.executable, "-m", "clalign.cli.main", "collection"]
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -173,7 +171,7 @@ def test_killed_worker_costs_its_running_pair_only(folder: Path, numbers: Number
     wait_for(lambda: bool(finished_pairs(out)), process)
     before = {row.target: row for row in finished_pairs(out)}
     lost = int(next(iter(before.values())).worker.rpartition(":")[2])
-    os.kill(lost, signal.SIGKILL)
+    psutil.Process(lost).kill()
     assert process.wait(timeout=LIMIT) == 0
     done = Collection.load(out)
     assert sum(row.ok for row in done.pairs) == PAIRS
@@ -191,10 +189,10 @@ def test_killed_run_goes_on_with_resume(folder: Path, numbers: Numbers, whole: C
     out, shapes = tmp_path / "out", meshes(folder, tmp_path)
     process = started(shapes, out, "--workers", "2")
     wait_for(lambda: len(finished_pairs(out)) >= 2, process)
-    process.send_signal(signal.SIGKILL)
+    process.kill()
     process.wait(timeout=LIMIT)
     workers = {int(row.worker.rpartition(":")[2]) for row in finished_pairs(out)}
-    wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+    wait_for(lambda: not any(map(psutil.pid_exists, workers)))
     before = times(Collection.load(out))
     assert 2 <= len(before) < PAIRS
     assert started(shapes, out, "--workers", "2").wait(timeout=LIMIT) == 2

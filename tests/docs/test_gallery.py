@@ -80,9 +80,6 @@ def test_the_page_of_options_lists_every_old_name_that_is_still_taken() -> None:
 
 
 def test_documentation_builds_without_a_warning(tmp_path: Path) -> None:
-    pytest.importorskip("sphinx")
-    pytest.importorskip("numpydoc")
-    pytest.importorskip("myst_parser")
     import numpy as np
 
     from clalign.presentation.raster import write_png

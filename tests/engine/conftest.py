@@ -20,7 +20,7 @@ Check = Callable[..., Any]
 
 
 @pytest.fixture(scope="session")
-def kernels() -> Kernels:
+def kernels(opencl: None) -> Kernels:
     return Kernels(Device())
 
 

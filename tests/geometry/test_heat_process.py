@@ -14,8 +14,10 @@ from pathlib import Path
 
 import analytic
 import numpy as np
+import psutil
 import pytest
 from numpy.typing import NDArray
+from skips import posix
 from waiting import wait_until
 
 from clalign.errors import MemoryBudgetError, MeshError
@@ -64,11 +66,7 @@ def assert_same(found: FarthestPoints, expected: FarthestPoints) -> None:
 
 
 def gone(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    return False
+    return not psutil.pid_exists(process)
 
 
 @pytest.mark.usefixtures("not_here")
@@ -128,7 +126,7 @@ def test_what_the_heat_method_refuses_has_the_same_message(bumpy: Surface, capfd
 
 
 @pytest.mark.usefixtures("not_here")
-@pytest.mark.skipif(os.name == "nt", reason="signals")
+@posix
 def test_a_crash_of_native_code_is_an_error_of_the_mesh(
     bumpy: Surface, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -140,23 +138,23 @@ def test_a_crash_of_native_code_is_an_error_of_the_mesh(
 
 
 @pytest.mark.usefixtures("not_here")
-@pytest.mark.skipif(os.name == "nt", reason="signals")
-@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGTERM])
+@posix
+@pytest.mark.parametrize("ending", ["SIGKILL", "SIGTERM"])
 def test_a_kill_from_outside_is_no_error_of_the_mesh(
-    bumpy: Surface, monkeypatch: pytest.MonkeyPatch, ending: signal.Signals
+    bumpy: Surface, monkeypatch: pytest.MonkeyPatch, ending: str
 ) -> None:
     """As the system kills where memory runs out: this process, with all it holds, must not be the next."""
-    kill = f"import os, sys; sys.stdin.buffer.read(20); os.kill(os.getpid(), {int(ending)})"
+    kill = f"import os, sys; sys.stdin.buffer.read(20); os.kill(os.getpid(), {int(getattr(signal, ending))})"
     with HeatProcess() as heat:
         with monkeypatch.context() as patch:
             patch.setattr(heat_process, "PROGRAM", kill)
-            with pytest.raises(MemoryBudgetError, match=rf"bumpy: .*{ending.name}.* CLALIGN_THREADS=1"):
+            with pytest.raises(MemoryBudgetError, match=rf"bumpy: .*{ending}.* CLALIGN_THREADS=1"):
                 heat.farthest_points(bumpy, 5, 6, 2)
         # The next one starts another.
         assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
 
 
-@pytest.mark.skipif(os.name == "nt", reason="signals")
+@posix
 def test_other_signals_leave_the_work_to_this_interpreter(bumpy: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
     end = f"import os, sys; sys.stdin.buffer.read(20); os.kill(os.getpid(), {int(signal.SIGHUP)})"
     monkeypatch.setattr(heat_process, "PROGRAM", end)

@@ -16,6 +16,7 @@ import analytic
 import numpy as np
 import pytest
 import scipy.sparse as sparse
+from skips import posix
 
 from clalign.errors import ConvergenceError
 from clalign.geometry import lanczos, operators, spectra
@@ -123,12 +124,9 @@ def test_solving_again_and_again_takes_no_more_memory(threads: int) -> None:
 
 
 INTERRUPTED = """
-import os, signal, time
+import os, time
 import analytic
 from clalign.geometry import lanczos, operators, spectra
-
-# Whoever runs the tests in the background of a shell may have it ignored.
-signal.signal(signal.SIGINT, signal.default_int_handler)
 
 class Slow(lanczos._Basis):
     # The pace of a mesh of a hundred thousand vertices: half a minute and more for either of the two slices.
@@ -145,7 +143,7 @@ spectra.solve(operators.stiffness(*surface), operators.lumped_mass(*surface), 2 
 """
 
 
-@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+@posix
 def test_after_ctrl_c_the_process_ends_without_finishing_its_slices() -> None:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     command = [sys.executable, "-c", INTERRUPTED]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import shapes
 import trimesh
+from skips import posix
 
 from clalign.errors import MeshError
 from clalign.mesh.mesh import load_mesh
@@ -187,7 +188,8 @@ def test_every_file_of_the_collection(tmp_path: Path) -> None:
         assert "Traceback" not in message, case.name
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may read everything")
+@posix
+@pytest.mark.skipif(os.name == "posix" and os.geteuid() == 0, reason="the superuser may read everything")
 def test_a_file_without_permission(tmp_path: Path) -> None:
     path = shapes.write_off(tmp_path / "secret.off", *shapes.icosphere(1))
     path.chmod(0)
@@ -210,8 +212,10 @@ def test_refusals_of_the_operating_system(
 
 
 def test_paths_that_are_no_files(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.off")
-    for name in (tmp_path / "pipe.off", "nul\0byte.off", "x" * 5000 + ".off", ""):
+    pipe = tmp_path / "pipe.off"
+    if os.name == "posix":
+        os.mkfifo(pipe)
+    for name in (pipe, "nul\0byte.off", "x" * 5000 + ".off", ""):
         with pytest.raises(MeshError):
             load_mesh(name)
 

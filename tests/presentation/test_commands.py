@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from clalign.cli import export, show, transfer
 from clalign.correspondence import Correspondence
@@ -59,7 +60,6 @@ def test_unwritable_output_is_named(run: Run, result: Path, tmp_path: Path) -> N
 
 
 def test_colours_become_a_coloured_mesh(run: Run, small: Correspondence, result: Path, tmp_path: Path) -> None:
-    trimesh = pytest.importorskip("trimesh")
     colours = np.random.default_rng(0).integers(0, 256, size=(643, 3))
     np.save(tmp_path / "paint.npy", colours)
     assert run("transfer", result, "colours", tmp_path / "paint.npy", "--out", tmp_path / "painted.ply") == 0

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.io
 import shapes
+import trimesh
 
 from clalign.correspondence import Correspondence
 from clalign.evaluation.truth import read_pair_truth
@@ -25,7 +26,6 @@ def whole(fabricated: object) -> Correspondence:
 
 
 def test_coloured_ply_matches_in_colour_and_keeps_the_numbers(small: Correspondence, tmp_path: Path) -> None:
-    trimesh = pytest.importorskip("trimesh")
     source, target = (trimesh.load(path, process=False) for path in exports.export_ply(small, tmp_path))
     assert len(source.vertices) == len(target.vertices) == 643
     assert np.allclose(source.vertices[1:], small.source.file_vertices())
@@ -83,7 +83,8 @@ def test_matlab_file_counts_from_one(small: Correspondence, tmp_path: Path) -> N
 
 
 def test_pyfm_finds_the_same_maps(whole: Correspondence, tmp_path: Path) -> None:
-    spectral = pytest.importorskip("pyFM.spectral")
+    from pyFM import spectral
+
     (path,) = exports.export_pyfm(whole, tmp_path)
     with np.load(path) as arrays:
         back = spectral.FM_to_p2p(arrays["FM_12"], arrays["evects1"], arrays["evects2"])

@@ -258,7 +258,7 @@ def test_shapes_without_one_answer_get_some_isometry(axes: tuple[float, float, f
     vertices, turned_faces, _ = shapes.renumbered(*rotated((directions * np.array(axes), faces), 1), 2)
     second = prepare(mesh_from_arrays(vertices, turned_faces), options)
     found = find_isometry(first, second, "preserving", RULES, kernels)
-    maps = vertex_maps(first, second, found.chosen.functional)
+    maps = vertex_maps(first, second, found.chosen.functional, Reference())
     on_first, on_second = all_pairs(first.mesh), all_pairs(second.mesh)
     for image, here, there in (
         (maps.target_of_source, on_first, on_second),

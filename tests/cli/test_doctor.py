@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from skips import posix
 
 from clalign.cli import doctor, probe
 from clalign.cli.main import main
@@ -86,6 +87,7 @@ def test_wrong_and_crashing_drivers_are_reported(
     assert "rm -r ~/.cache/pocl" in shown
 
 
+@posix
 def test_probe_survives_a_crash_and_a_hang(monkeypatch: pytest.MonkeyPatch) -> None:
     def child(code: str) -> None:
         monkeypatch.setattr(sys, "executable", str(fake(code)))

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from skips import posix
 
 from clalign.correspondence import Correspondence
 from clalign.storage.folders import recover
@@ -75,7 +76,7 @@ def test_killed_match_leaves_nothing_half_written(
                 break
             time.sleep(0.002)
         time.sleep(delay)
-        process.send_signal(signal.SIGKILL)
+        process.kill()
         process.wait(timeout=60)
         # Nothing there at all is the only right answer beside a whole result.
         recover(out)
@@ -119,6 +120,7 @@ def interrupted(
     return process.returncode, shown, errors
 
 
+@posix
 @pytest.mark.parametrize(("stage", "delay"), [("source", 0.0), ("prepare", 0.2), ("search", 0.0)])
 def test_interrupt_before_the_first_map_leaves_nothing(
     tmp_path: Path, bumpy_files: tuple[Path, ...], stage: str, delay: float

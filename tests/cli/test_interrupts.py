@@ -10,6 +10,7 @@ import sys
 import threading
 
 import pytest
+from skips import posix
 
 from clalign.cli.interrupts import Interrupts
 
@@ -48,7 +49,7 @@ def test_other_threads_may_use_it_without_effect() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-@pytest.mark.skipif(os.name == "nt", reason="closed pipes are reported in another way")
+@posix
 def test_an_interrupted_program_whose_reader_has_gone_ends_as_ever() -> None:
     """Ctrl-C ends every program of a pipe, the reader first, when there is still something to be written to it."""
     interrupted = """

@@ -14,8 +14,6 @@ from clalign.cli.main import main
 from clalign.correspondence import Correspondence
 from clalign.storage.files import size_text
 
-pytest.importorskip("distributed")
-
 
 def test_collection_writes_pages_and_whole_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_shapes(tmp_path / "shapes", 2)
