@@ -19,6 +19,7 @@ from typing import Any
 from clalign.errors import MemoryBudgetError
 from clalign.geometry.geodesics import affordable_samples
 from clalign.geometry.workers import processor_count
+from clalign.maps.nearest import EXHAUSTIVE
 from clalign.options import Options
 from clalign.storage.files import size_text
 
@@ -63,14 +64,13 @@ def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
     """Return the terms of bytes on the `HOST` and in buffers of the `DEVICE`, and of processor seconds by stage.
 
     Terms of bytes are bytes of arrays of that kind, so that their coefficients are about how many such arrays there are
-    at a time; "factors" stands for the n log n entries of a sparse factor, or the n^1.5 operations that make one.
+    at a time. "factors" stands for the n log n entries of a sparse factor, or the n^1.5 operations that make one,
+    "cells" for copies in the order of the cells that a search in large sets looks into.
     """
     spectrum, alignment = options.spectrum, options.alignment
     both, larger, smaller = source + target, max(source, target), min(source, target)
-    cap = max(smaller // 3, 1)
-    scale_invariant, functions = (
-        min(k, cap) for k in (spectrum.scale_invariant, max(spectrum.basis, spectrum.refinement))
-    )
+    scale_invariant = _function_count(spectrum.scale_invariant, smaller)
+    functions = _function_count(max(spectrum.basis, spectrum.refinement), smaller)
     basis = min(spectrum.basis, scale_invariant)
     wanted = options.geodesics.search_samples, options.geodesics.factor_samples
     samples = affordable_samples(larger, *wanted)
@@ -80,13 +80,13 @@ def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
     evaluations = alignment.outer_iterations * alignment.iterations + 1
     searched = float(options.search.method != "random")
     maps = searched * (1 + options.search.alternatives) * (options.readout.refine != "none")
+    real = _real_bytes(options)
     columns = both * (functions + scale_invariant + rows)
-    compared = both**1.5 * scale_invariant
-    real = real_bytes(options)
+    cells = real * both * scale_invariant * (source * target > EXHAUSTIVE)
     return {
-        HOST: {"fixed": 1.0, "functions": 8.0 * columns, "distances": 4 * sampled + 16 * samples**2,
-               "factors": 12.0 * both * math.log2(larger)},
-        DEVICE: {"fixed": real, "functions": real * columns, "samples": real * samples**2,
+        HOST: {"fixed": 1.0, "driver": float(options.engine.backend == "opencl"), "functions": 8.0 * columns,
+               "distances": 4 * sampled + 16 * samples**2, "factors": 12.0 * both * math.log2(larger)},
+        DEVICE: {"fixed": real, "functions": real * columns, "cells": cells, "samples": real * samples**2,
                  "losses": real * losses * (basis + rows), "rotation": real * scale_invariant**2},
         "start": {"fixed": 1.0, "vertices": both},
         "prepare": {"functions": both * (functions + scale_invariant), "distances": sampled, "factors": both**1.5},
@@ -94,12 +94,17 @@ def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
         "refinement": {"fixed": maps, "functions": maps * both * (functions + scale_invariant)},
         "metric": {"functions": both * scale_invariant * (spectrum.metric == "auto")},
         "alignment": {"losses": evaluations * losses * basis**2.0, "rotation": evaluations * scale_invariant**2.0,
-                      "outer": compared * alignment.outer_iterations, "maps": compared * (1 + options.readout.steps)},
+                      "maps": both**1.25 * scale_invariant * (1 + options.readout.steps)},
         "result": {"fixed": 1.0, "vertices": both},
     }  # fmt: skip
 
 
-def real_bytes(options: Options) -> int:
+def _function_count(wanted: int, vertices: int) -> int:
+    """Return how many eigenfunctions there are of the smaller mesh: at most one for three vertices."""
+    return min(wanted, max(vertices // 3, 1))
+
+
+def _real_bytes(options: Options) -> int:
     """Return the bytes of a number on the device; numpy, which stands for one, computes in double precision."""
     return 8 if options.engine.precision == "double" or options.engine.backend == "reference" else 4
 
@@ -132,13 +137,14 @@ def forecast(
     coefficients = table["coefficients"]
     device = weighted(found[DEVICE], coefficients[DEVICE])
     memory = weighted(found[HOST] | {DEVICE: shared * device}, coefficients[HOST])
+    scale_invariant = _function_count(options.spectrum.scale_invariant, min(source, target))
     cores = processor_count() if processors is None else processors
     # Amdahl: the share of the work that other processors take part in.
     pace = dict.fromkeys(STAGES, 1 - table["parallel"] + table["parallel"] / cores) | dict.fromkeys(SERIAL, 1.0)
     return Forecast(
         memory=int(memory),
         device_memory=int(device),
-        largest_buffer=int(real_bytes(options) * max(source, target) * options.spectrum.scale_invariant),
+        largest_buffer=_real_bytes(options) * max(source, target) * scale_invariant,
         stages={stage: pace[stage] * weighted(found[stage], coefficients[stage]) for stage in STAGES},
     )
 

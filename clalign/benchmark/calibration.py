@@ -37,6 +37,7 @@ SIZES = (1000, 4000, 10_000, 25_000)
 VARIED = 2500
 VARIANTS: tuple[dict[str, Any], ...] = (
     {"engine.precision": "double"},
+    {"engine.backend": "reference", "alignment.outer_iterations": 1},
     {"spectrum.scale_invariant": 700},
     {"spectrum.refinement": 600},
     {"spectrum.metric": "auto", "geodesics.search_samples": 300},
@@ -154,21 +155,22 @@ class _StageWork:
 def fitted(found: Sequence[Measured]) -> dict[str, Any]:
     """Return the coefficients of `resources.terms`, and the share of the work that is done in parallel.
 
-    Coefficients are not negative, and make the sum of squared relative errors least. The bundled pair is left out, so
-    that it can show how good they are.
+    Coefficients are not negative, and make the sum of squared relative errors least. Times are those on a device. The
+    bundled pair is left out, so that it can show how good they are.
     """
     fit = [one for one in found if one.name == "generated"]
     coefficients = {}
-    own = [(_terms(one)[resources.DEVICE], one.device_memory) for one in fit]
-    coefficients[resources.DEVICE] = device = non_negative(own)
+    on_device = [one for one in fit if one.device_memory]
+    buffers = [(_terms(one)[resources.DEVICE], one.device_memory) for one in on_device]
+    coefficients[resources.DEVICE] = device = non_negative(buffers)
     host = []
     for one in fit:
         rows = _terms(one)
-        buffers = resources.weighted(rows[resources.DEVICE], device)
-        host.append((rows[resources.HOST] | {resources.DEVICE: buffers}, one.memory))
+        beside = {resources.DEVICE: resources.weighted(rows[resources.DEVICE], device)}
+        host.append((rows[resources.HOST] | beside, one.memory))
     coefficients[resources.HOST] = non_negative(host)
     for stage in resources.STAGES:
-        coefficients[stage] = non_negative([(_terms(one)[stage], one.work.get(stage, 0.0)) for one in fit])
+        coefficients[stage] = non_negative([(_terms(one)[stage], one.work.get(stage, 0.0)) for one in on_device])
     return {"coefficients": coefficients, "parallel": _parallel(fit)}
 
 
