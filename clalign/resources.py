@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import json
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -64,16 +63,16 @@ def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
     """Return the terms of bytes on the `HOST` and in buffers of the `DEVICE`, and of processor seconds by stage.
 
     Terms of bytes are bytes of arrays of that kind, so that their coefficients are about how many such arrays there are
-    at a time. "factors" stands for the n log n entries of a sparse factor, or the n^1.5 operations that make one,
-    "cells" for copies in the order of the cells that a search in large sets looks into.
+    at a time; "cells" stands for copies in the order of the cells that a search in large sets looks into, "factors" for
+    the n^1.5 operations that make a sparse factor.
     """
     spectrum, alignment = options.spectrum, options.alignment
-    both, larger, smaller = source + target, max(source, target), min(source, target)
+    both, smaller = source + target, min(source, target)
     scale_invariant = _function_count(spectrum.scale_invariant, smaller)
     functions = _function_count(max(spectrum.basis, spectrum.refinement), smaller)
     basis = min(spectrum.basis, scale_invariant)
     wanted = options.geodesics.search_samples, options.geodesics.factor_samples
-    samples = affordable_samples(larger, *wanted)
+    samples = affordable_samples(max(source, target), *wanted)
     rows = min(wanted[1], samples)
     sampled = float(sum(n * affordable_samples(n, *wanted) for n in (source, target)))
     losses = min(alignment.samples or source, source)
@@ -84,8 +83,7 @@ def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
     columns = both * (functions + scale_invariant + rows)
     cells = real * both * scale_invariant * (source * target > EXHAUSTIVE)
     return {
-        HOST: {"fixed": 1.0, "driver": float(options.engine.backend == "opencl"), "functions": 8.0 * columns,
-               "distances": 4 * sampled + 16 * samples**2, "factors": 12.0 * both * math.log2(larger)},
+        HOST: {"fixed": 1.0, "functions": 8.0 * columns, "distances": 4 * sampled + 16 * samples**2},
         DEVICE: {"fixed": real, "functions": real * columns, "cells": cells, "samples": real * samples**2,
                  "losses": real * losses * (basis + rows), "rotation": real * scale_invariant**2},
         "start": {"fixed": 1.0, "vertices": both},

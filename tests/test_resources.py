@@ -32,7 +32,7 @@ def near(predicted: float, found: float) -> bool:
     ("vertices", "changes"),
     [
         (642, PRESETS["fast"]),
-        (1200, PRESETS["fast"] | {"search.method": "random", "engine.backend": "reference"}),
+        (642, PRESETS["fast"] | {"engine.backend": "reference"}),
         (2500, PRESETS["fast"]),
     ],
 )
