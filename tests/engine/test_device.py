@@ -132,6 +132,7 @@ def test_a_budget_counts_what_is_in_use_and_what_is_given_back():
     in_use = limited.device.allocated
     del kept
     assert limited.device.allocated == in_use - 800_000 - device_module.SLACK
+    assert limited.device.most >= in_use
     limited.zeros(100_000)
 
 
