@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import fabricated
+import hypothesis
 import numpy as np
 import pytest
 import shapes
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 
     from clalign.correspondence import Correspondence
     from clalign.engine import Backend, Reference
+
+# A busy machine is no reason to fail.
+hypothesis.settings.register_profile("any pace", deadline=None)
+hypothesis.settings.load_profile("any pace")
 
 # Set before any driver or library reads them: a test must neither profit from nor harm what is cached on the machine.
 _SCRATCH = Path(tempfile.mkdtemp(prefix="clalign-tests-"))

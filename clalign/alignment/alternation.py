@@ -40,6 +40,7 @@ class AlignmentState:
     history : for every evaluation "outer_iteration", "evaluation", "total" and each term.
     status : why the last iteration ended; "not run" before there was one.
     ended : there is no other iteration.
+    candidate : (d, d) the best point of an iteration that an exception has ended; None otherwise.
     """
 
     rotation: NDArray[np.float64]
@@ -47,6 +48,7 @@ class AlignmentState:
     history: tuple[dict[str, float], ...] = ()
     status: AlignmentStatus = "not run"
     ended: bool = False
+    candidate: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,8 @@ def outer_iterations(
 ) -> Iterator[AlignmentState]:
     """Minimise the objective over the band entries of R; yields the start and the state after every outer iteration.
 
+    An exception inside an iteration is raised after the best point so far has been yielded as `candidate`.
+
     Parameters
     ----------
     start : (d, d), restricted to the funnel.
@@ -89,8 +93,9 @@ def outer_iterations(
     state = AlignmentState(start, objective.fix(start, hard_map(objective, start, readout, known), options.weight))
     yield state
     for number in range(options.outer_iterations):
-        state = _outer_iteration(objective, state, readout, number, watch)
-        yield state
+        for reached in _outer_iteration(objective, state, readout, number, watch):
+            yield reached
+        state = reached
         if state.ended:
             return
         if number + 1 < options.outer_iterations:
@@ -99,35 +104,58 @@ def outer_iterations(
 
 def _outer_iteration(
     objective: Objective, state: AlignmentState, readout: Readout, number: int, watch: Watch | None
-) -> AlignmentState:
-    """Return the state after one outer iteration: a lower one, or the same one, ended."""
+) -> Iterator[AlignmentState]:
     start, fixed, history = objective.pack(state.rotation), state.fixed, list(state.history)
     before = objective.value_and_gradient(start, fixed)
+    least, best = before.total, start
 
     def evaluate(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        nonlocal least, best
         # L-BFGS begins at the point that is known already.
         found = before if np.array_equal(x, start) else objective.value_and_gradient(x, fixed)
         history.append({"outer_iteration": number, "evaluation": len(history), "total": found.total, **found.terms})
+        if found.total < least:
+            least, best = found.total, x
         if watch is not None:
             watch(number, found)
         return found.total, found.gradient
 
     options = objective.options
-    minimum = minimise(evaluate, start, options.iterations, options.tolerance, objective.rules.memory)
-    rotation = objective.unpack(minimum.x)
-    renewed = objective.fix(rotation, hard_map(objective, rotation, readout, fixed.target_of_source), fixed.weight)
-    after = objective.value_and_gradient(objective.pack(rotation), renewed)
-    LOG.info("outer iteration %d: %.6g -> %.6g (%s)", number, before.total, after.total, minimum.status)
-    if not after.total < before.total:
-        status: Status = "failed" if minimum.status == "failed" else "converged"
-        return replace(state, history=tuple(history), status=status, ended=True)
-    return AlignmentState(rotation, renewed, tuple(history), minimum.status, minimum.status == "failed")
+    try:
+        minimum = minimise(evaluate, start, options.iterations, options.tolerance, objective.rules.memory)
+    except BaseException:
+        yield replace(state, history=tuple(history), candidate=objective.unpack(best))
+        raise
+    state = replace(state, history=tuple(history))
+    yield _compared(objective, state, objective.unpack(minimum.x), before.total, readout, minimum.status)
+
+
+def _compared(
+    objective: Objective,
+    state: AlignmentState,
+    rotation: NDArray[np.float64],
+    before: float,
+    readout: Readout,
+    status: Status,
+) -> AlignmentState:
+    """Return the state at `rotation` with its own hard map if that lowers the objective, else the same one, ended."""
+    guess, weight = state.fixed.target_of_source, state.fixed.weight
+    renewed = objective.fix(rotation, hard_map(objective, rotation, readout, guess), weight)
+    after = objective.value_and_gradient(objective.pack(rotation), renewed).total
+    LOG.info("outer iteration: %.6g -> %.6g (%s)", before, after, status)
+    if not after < before:
+        return replace(state, status="failed" if status == "failed" else "converged", ended=True, candidate=None)
+    return AlignmentState(rotation, renewed, state.history, status, status == "failed")
 
 
 def finished(
     objective: Objective, state: AlignmentState, readout: Readout, guess: PointMaps | None = None
 ) -> AlignedRotation:
     """Return the outcome of a state: its losses and its maps; `guess` saves time."""
+    if state.candidate is not None and state.history:
+        number = state.history[-1]["outer_iteration"]
+        before = next(entry["total"] for entry in state.history if entry["outer_iteration"] == number)
+        state = _compared(objective, state, state.candidate, before, readout, "budget")
     last = objective.value_and_gradient(objective.pack(state.rotation), state.fixed)
     maps = read_out(objective, state.rotation, readout, state.fixed.target_of_source, guess)
     return AlignedRotation(state.rotation, maps, state.history, {"total": last.total, **last.terms}, state.status)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from prepared import Bound
 
-from clalign.alignment.alternation import finished, optimised_rotation, outer_iterations
+from clalign.alignment.alternation import AlignmentState, finished, optimised_rotation, outer_iterations
 from clalign.alignment.objective import Evaluation, Objective
 from clalign.alignment.readout import read_out
 
@@ -135,25 +135,29 @@ def test_without_optimisation_the_start_stays(bind_small: Callable[..., Bound], 
     assert found.losses["total"] == pytest.approx(objective(problem, rotation), rel=1e-12)
 
 
-def test_what_an_outer_iteration_has_reached_can_be_gone_on_with(
-    bind_small: Callable[..., Bound], rng: np.random.Generator
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("the device is gone")], ids=["Ctrl-C", "error"])
+@pytest.mark.parametrize("after", [9, 15])
+def test_the_best_point_is_handed_over_before_an_exception(
+    bind_small: Callable[..., Bound], rng: np.random.Generator, error: BaseException, after: int
 ) -> None:
-    """An interrupt inside an iteration loses that one only: the state before it is in the caller's hands."""
     problem, rotation, _ = bind_small(ROUNDS)
     start = problem.unpack(problem.pack(rotation) + 0.03 * rng.normal(size=problem.band.count))
+    totals: list[float] = []
 
     def stop(number: int, evaluation: Evaluation) -> None:
-        if number == 2:
-            raise KeyboardInterrupt
+        totals.append(evaluation.total)
+        if len(totals) == after:
+            raise error
 
-    states = []
-    with pytest.raises(KeyboardInterrupt):
+    states: list[AlignmentState] = []
+    with pytest.raises(type(error)):
         states.extend(outer_iterations(problem, start, "aligned", stop))
-    assert len(states) == 3
     np.testing.assert_array_equal(states[0].rotation, start)
+    assert states[-1].candidate is not None
+    assert [entry["total"] for entry in states[-1].history] == totals
     kept = finished(problem, states[-1], "aligned")
-    assert kept.losses["total"] < objective(problem, start)
-    assert {entry["outer_iteration"] for entry in kept.history} == {0, 1}
+    assert kept.losses["total"] < totals[0]
+    assert not np.array_equal(kept.rotation, states[-1].rotation)
 
 
 def test_an_objective_that_is_never_finite_keeps_the_start(

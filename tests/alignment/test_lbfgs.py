@@ -110,7 +110,9 @@ def test_nothing_to_do(size: int, evaluations: int) -> None:
 
 
 def test_an_objective_without_finite_values_fails() -> None:
-    found = minimise(lambda x: (float("nan"), np.full_like(x, np.nan)), np.ones(3), 50)
+    found = minimise(
+        lambda x: (float("nan"), np.full_like(x, np.nan)), np.ones(3), 50, relative_tolerance=1e-5, memory=50
+    )
     assert found.status == "failed"
     np.testing.assert_array_equal(found.x, np.ones(3))
 

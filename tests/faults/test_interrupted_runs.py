@@ -41,7 +41,7 @@ def test_before_the_first_map_nothing_is_kept(
 
 #: A search and every step that can follow it.
 WHOLE = [
-    *("--set", "spectrum.metric=auto", "--set", "spectrum.refinement=30"),
+    *("--set", "search.method=tree", "--set", "spectrum.metric=auto", "--set", "spectrum.refinement=30"),
     *("--set", "readout.steps=1", "--set", "readout.subvertex=true", "--set", "search.alternatives=1", "--no-cache"),
 ]
 
