@@ -16,7 +16,8 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from clalign.geometry.cache import ShapeCache, content_key
-from clalign.geometry.geodesics import DistanceFactors, Geodesics, farthest_point_geodesics, low_rank
+from clalign.geometry.geodesics import DistanceFactors, farthest_point_geodesics, low_rank
+from clalign.geometry.heat import Geodesics
 from clalign.geometry.heat_process import HeatProcess
 from clalign.geometry.operators import (
     conformal_factor,
@@ -134,9 +135,12 @@ def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | No
     with ExitStack() as stack:
         stack.enter_context(single_threaded_blas())
         pool = stack.enter_context(thread_pool(max(min(len(meshes), processor_count()), 1)))
+        processes = [HeatProcess() for _ in meshes]
+        for process in processes:
+            stack.callback(process.stop)
         distances = [
-            pool.submit(_distances, mesh, options.geodesics, stack.enter_context(HeatProcess()), cache)
-            for mesh in meshes
+            pool.submit(_distances, mesh, options.geodesics, process, cache)
+            for mesh, process in zip(meshes, processes, strict=True)
         ]
         spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
         return [
@@ -217,11 +221,6 @@ def _scale_invariant(
 
 
 def _distances(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
-    with heat:
-        return _sampled(mesh, options, heat, cache)
-
-
-def _sampled(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
     values = {"search": options.search_samples, "factor": options.factor_samples}
     return _stored(
         cache,
