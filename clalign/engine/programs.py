@@ -89,10 +89,9 @@ def _expanded(file: str) -> str:
 
 
 def _signatures(text: str) -> dict[str, tuple[str, ...]]:
-    found = {}
-    for function, arguments in SIGNATURE.findall(text):
-        found[function] = tuple(_argument_type(argument) for argument in arguments.split(","))
-    return found
+    return {
+        function: tuple(map(_argument_type, arguments.split(","))) for function, arguments in SIGNATURE.findall(text)
+    }
 
 
 def _argument_type(declaration: str) -> str:
