@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,10 +106,9 @@ def _facts(cl: Any, number: int, index: int, platform: Any, device: Any) -> Devi
     )
 
 
-def wanted_device(option: str, environment: Mapping[str, str] | None = None) -> str:
+def wanted_device(option: str) -> str:
     """Return the specification in force: the option, else ``CLALIGN_DEVICE``, else empty."""
-    variables = os.environ if environment is None else environment
-    return option.strip() or variables.get(DEVICE_VARIABLE, "").strip()
+    return option.strip() or os.environ.get(DEVICE_VARIABLE, "").strip()
 
 
 def choose_device(specification: str, facts: Sequence[DeviceFacts]) -> DeviceFacts:

@@ -46,17 +46,9 @@ def ceil_div(a: int, b: int) -> int:
 
 
 def require_shapes(function: str, **pairs: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
-    """Refuse arrays whose shapes do not fit, before a kernel reads beyond them.
+    """Refuse, by InputError, arrays whose shapes do not fit, before a kernel reads beyond them.
 
-    Parameters
-    ----------
-    function : name for the message.
     pairs : argument name to the shape that it has and the one that it needs.
-
-    Raises
-    ------
-    InputError
-        Naming the first argument that does not fit.
     """
     for name, (given, wanted) in pairs.items():
         if given != wanted:
@@ -64,13 +56,7 @@ def require_shapes(function: str, **pairs: tuple[tuple[int, ...], tuple[int, ...
 
 
 def require_index(function: str, index: Any) -> None:
-    """Refuse an index that a kernel would read as something else than the int32 numbers that it is meant to be.
-
-    Raises
-    ------
-    InputError
-        `index` lies not on the device, or holds another type.
-    """
+    """Refuse, by InputError, an index that a kernel would read as something else than int32 numbers."""
     if not isinstance(index, DeviceArray):
         raise InputError(f"{function}: index is of type {type(index).__name__}, needed is an array of the device")
     if index.dtype != np.int32:

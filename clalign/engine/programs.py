@@ -61,15 +61,12 @@ def kernel_source(name: str, defines: Mapping[str, str | int]) -> Source:
     The text begins with a hash of itself and of the options: PoCL's cache may otherwise return a program that was
     built with other ``-D`` values.
 
-    Parameters
-    ----------
-    name : one of `program_names`.
     defines : ``-D`` names and values.
 
     Raises
     ------
     DeviceError
-        Unknown program.
+        `name` is not one of `program_names`.
     """
     if name not in program_names():
         raise DeviceError(f"unknown kernel program {name!r}; there are {', '.join(program_names())}")

@@ -46,7 +46,6 @@ def farthest_point_geodesics(
 
     Parameters
     ----------
-    mesh : of unit area.
     search_samples : S, samples whose mutual distances are kept.
     factor_samples : N, samples whose full rows are kept (at most S).
     sampler : `heat.farthest_points`, or what does the same elsewhere.
@@ -70,16 +69,12 @@ def affordable_samples(vertices: int, search_samples: int, factor_samples: int) 
 
 
 def low_rank(geodesics: Geodesics, mass: NDArray[np.float64], rank: int | None = None) -> DistanceFactors:
-    """Return factors of the matrix of all distances from the rows of the first N samples.
+    """Return factors of the matrix of all distances from the rows of the first N samples, and vertex areas (n,).
 
     With R the (n, N) columns of D at the samples and V Λ Vᵀ their N × N block, D ≈ R V Λ⁻¹ Vᵀ Rᵀ over the pairs whose
     |λ| is largest (Shamai, Zibulevsky and Kimmel). Half of them are kept: the small ones are errors of the heat
     method, and their inverses would be the largest numbers in the product.
 
-    Parameters
-    ----------
-    geodesics : from `farthest_point_geodesics`.
-    mass : (n,) vertex areas.
     rank : number of pairs kept; None for N / 2.
     """
     count = len(geodesics.rows)

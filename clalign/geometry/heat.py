@@ -52,10 +52,7 @@ class Geodesics:
 def prefix_shares(distances: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Return the (count,) area shares of the first samples when those of later ones go to the nearest of them.
 
-    Parameters
-    ----------
-    distances : (S, S) between samples.
-    weights : (S,) area shares of all samples.
+    distances, weights : (S, S) between samples, and (S,) area shares of all.
     """
     nearest = distances[:count].argmin(axis=0)
     return np.bincount(nearest, weights=weights, minlength=count).astype(np.float64)

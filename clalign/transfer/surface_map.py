@@ -38,13 +38,7 @@ class SurfaceMap:
     def pull(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
         """Carry values from the other shape to this one, interpolated in faces where the map is known that finely.
 
-        Parameters
-        ----------
-        values : (n_other,) or (n_other, c) float.
-
-        Returns
-        -------
-        (n,) or (n, c) float64; rows without a match are zero (see `matched`).
+        Values (n_other,) or (n_other, c) become (n,) or (n, c) float64; rows without a match are zero (see `matched`).
         """
         values = np.asarray(values, dtype=np.float64)
         pulled = np.einsum("nc,nc...->n...", self.weights, values[np.maximum(self.corners, 0)])
