@@ -29,6 +29,7 @@ def open_backend(options: EngineOptions | None = None) -> Backend:
     chosen = EngineOptions() if options is None else options
     if chosen.backend == "reference":
         return Reference()
-    from clalign.engine.kernels import open_kernels
+    from clalign.engine.device import Device
+    from clalign.engine.kernels import Kernels
 
-    return open_kernels(chosen)
+    return Kernels(Device(chosen.device, chosen.precision, chosen.memory))

@@ -274,17 +274,11 @@ class Device:
     def describe(self) -> dict[str, str | int | bool]:
         """Return facts for reports: device, driver, limits, precision and memory in use (bytes)."""
         facts = self.facts
+        named = ("version", "driver", "kind", "units", "memory", "largest_buffer", "local_memory", "double")
         return {
             "device": facts.name,
             "platform": facts.platform_name,
-            "version": facts.version,
-            "driver": facts.driver,
-            "kind": facts.kind,
-            "units": facts.units,
-            "memory": facts.memory,
-            "largest_buffer": facts.largest_buffer,
-            "local_memory": facts.local_memory,
-            "double": facts.double,
+            **{name: getattr(facts, name) for name in named},
             "precision": self.dtype.name,
             "budget": self.budget,
             "allocated": self.allocated,
@@ -293,13 +287,7 @@ class Device:
 
 
 def require_precision(facts: DeviceFacts, precision: str) -> None:
-    """Refuse double precision on a device without it.
-
-    Raises
-    ------
-    DeviceError
-        With the two ways out.
-    """
+    """Refuse, by DeviceError, double precision on a device without it."""
     if precision == "double" and not facts.double:
         raise DeviceError(
             f"{facts.label} has no double precision; use single precision (engine.precision), or another device: "
@@ -308,23 +296,10 @@ def require_precision(facts: DeviceFacts, precision: str) -> None:
 
 
 def check_budget(needed: int, shape: tuple[int, ...], left: int, facts: DeviceFacts) -> None:
-    """Refuse an allocation before it is tried.
-
-    Parameters
-    ----------
-    needed : bytes of the array.
-    shape : its shape, for the message.
-    left : bytes of the budget that are not in use.
-    facts : the device.
-
-    Raises
-    ------
-    MemoryBudgetError
-        With the bytes needed, those available and the largest buffer.
-    """
-    if needed <= left and needed <= facts.largest_buffer:
-        return
-    raise MemoryBudgetError(
-        f"an array of shape {shape} needs {needed} bytes on {facts.label}: {left} bytes are available, the largest "
-        f"buffer is {facts.largest_buffer} bytes. Use fewer vertices, samples or functions, or a larger memory limit."
-    )
+    """Refuse, by MemoryBudgetError, an array of `needed` bytes where only so many are `left` of the budget."""
+    if needed > min(left, facts.largest_buffer):
+        raise MemoryBudgetError(
+            f"an array of shape {shape} needs {needed} bytes on {facts.label}: {left} bytes are available, the largest "
+            f"buffer is {facts.largest_buffer} bytes. Use fewer vertices, samples or functions, or a larger memory "
+            "limit."
+        )

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,14 +55,6 @@ class DeviceFacts:
         return f"{self.platform}:{self.device} {self.name} ({self.kind}, {self.platform_name})"
 
 
-def device_kind(cl: Any, device: Any) -> str:
-    """Translate the type bits of a pyopencl device."""
-    for name in ("GPU", "CPU", "ACCELERATOR"):
-        if device.type & getattr(cl.device_type, name):
-            return name.lower()
-    return "other"
-
-
 def list_devices() -> tuple[DeviceFacts, ...]:
     """Ask the OpenCL loader for every device.
 
@@ -96,6 +88,7 @@ def _devices_of(cl: Any, platform: Any) -> list[Any]:
 
 
 def _facts(cl: Any, number: int, index: int, platform: Any, device: Any) -> DeviceFacts:
+    kinds = [kind for kind in KINDS if device.type & getattr(cl.device_type, kind.upper())]
     return DeviceFacts(
         platform=number,
         device=index,
@@ -103,7 +96,7 @@ def _facts(cl: Any, number: int, index: int, platform: Any, device: Any) -> Devi
         platform_name=platform.name.strip(),
         version=device.version.strip(),
         driver=device.driver_version.strip(),
-        kind=device_kind(cl, device),
+        kind=[*kinds, "other"][0],
         units=int(device.max_compute_units),
         memory=int(device.global_mem_size),
         largest_buffer=int(device.max_mem_alloc_size),
@@ -113,10 +106,9 @@ def _facts(cl: Any, number: int, index: int, platform: Any, device: Any) -> Devi
     )
 
 
-def wanted_device(option: str, environment: Mapping[str, str] | None = None) -> str:
+def wanted_device(option: str) -> str:
     """Return the specification in force: the option, else ``CLALIGN_DEVICE``, else empty."""
-    variables = os.environ if environment is None else environment
-    return option.strip() or variables.get(DEVICE_VARIABLE, "").strip()
+    return option.strip() or os.environ.get(DEVICE_VARIABLE, "").strip()
 
 
 def choose_device(specification: str, facts: Sequence[DeviceFacts]) -> DeviceFacts:

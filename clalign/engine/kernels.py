@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from clalign.engine.device import Device
 from clalign.engine.kernels_losses import KernelLosses
 from clalign.engine.kernels_search import KernelSearches
 from clalign.engine.kernels_soft import KernelSoftMaps
-from clalign.options import EngineOptions
 
 
 class Kernels(KernelLosses, KernelSoftMaps, KernelSearches):
@@ -16,14 +14,3 @@ class Kernels(KernelLosses, KernelSoftMaps, KernelSearches):
     ``float``, and `array`, whose copy comes after all that is queued; with `out` given, and after a first call with the
     same shapes, nothing is allocated or built.
     """
-
-
-def open_kernels(options: EngineOptions) -> Kernels:
-    """Open the device that the options name.
-
-    Raises
-    ------
-    DeviceError
-        No usable device, or not the one asked for.
-    """
-    return Kernels(Device(options.device, options.precision, options.memory))

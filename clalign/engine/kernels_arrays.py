@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,9 @@ else:
     # Kernels are a `Reference` to the type checker, which so compares all signatures. At run time they inherit nothing:
     # an operation without a kernel must fail, and not run in numpy.
     Specification = object
+
+Array: TypeAlias = DeviceArray
+ArrayPair: TypeAlias = tuple[Array, Array]
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 
@@ -43,17 +46,9 @@ def ceil_div(a: int, b: int) -> int:
 
 
 def require_shapes(function: str, **pairs: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
-    """Refuse arrays whose shapes do not fit, before a kernel reads beyond them.
+    """Refuse, by InputError, arrays whose shapes do not fit, before a kernel reads beyond them.
 
-    Parameters
-    ----------
-    function : name for the message.
     pairs : argument name to the shape that it has and the one that it needs.
-
-    Raises
-    ------
-    InputError
-        Naming the first argument that does not fit.
     """
     for name, (given, wanted) in pairs.items():
         if given != wanted:
@@ -61,13 +56,7 @@ def require_shapes(function: str, **pairs: tuple[tuple[int, ...], tuple[int, ...
 
 
 def require_index(function: str, index: Any) -> None:
-    """Refuse an index that a kernel would read as something else than the int32 numbers that it is meant to be.
-
-    Raises
-    ------
-    InputError
-        `index` lies not on the device, or holds another type.
-    """
+    """Refuse, by InputError, an index that a kernel would read as something else than int32 numbers."""
     if not isinstance(index, DeviceArray):
         raise InputError(f"{function}: index is of type {type(index).__name__}, needed is an array of the device")
     if index.dtype != np.int32:
@@ -80,7 +69,7 @@ class KernelArrays(Specification):
     def __init__(self, device: Device) -> None:
         self.device = device
         self.dtype: np.dtype[Any] = device.dtype
-        self._tables: dict[tuple[Any, ...], DeviceArray] = {}
+        self._tables: dict[tuple[Any, ...], Array] = {}
 
     @property
     @operation
@@ -93,30 +82,22 @@ class KernelArrays(Specification):
         return self.device.describe()
 
     @operation
-    def array(self, values: ArrayLike) -> DeviceArray:
+    def array(self, values: ArrayLike) -> Array:
         given = np.asarray(values)
         kind = np.dtype(np.int32) if given.dtype.kind in "iub" else self.dtype
         return self.device.upload(np.ascontiguousarray(given, dtype=kind).reshape(given.shape))
 
     @operation
-    def zeros(self, shape: int | Sequence[int], dtype: Any = None) -> DeviceArray:
+    def zeros(self, shape: int | Sequence[int], dtype: Any = None) -> Array:
         lengths = (shape,) if isinstance(shape, int) else tuple(shape)
         return self.device.zeros(lengths, self.dtype if dtype is None else dtype)
 
     @operation
-    def numpy(self, array: DeviceArray) -> NDArray[Any]:
+    def numpy(self, array: Array) -> NDArray[Any]:
         return array.get()
 
     @operation
-    def add(
-        self,
-        a: DeviceArray,
-        b: DeviceArray,
-        *,
-        scale_a: float = 1.0,
-        scale_b: float = 1.0,
-        out: DeviceArray | None = None,
-    ) -> DeviceArray:
+    def add(self, a: Array, b: Array, *, scale_a: float = 1.0, scale_b: float = 1.0, out: Array | None = None) -> Array:
         require_shapes("add", b=(b.shape, a.shape))
         result = self._result("add", a.shape, out)
         kernel = self._elementwise("add")
@@ -124,7 +105,7 @@ class KernelArrays(Specification):
         return result
 
     @operation
-    def scale_rows(self, a: DeviceArray, w: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
+    def scale_rows(self, a: Array, w: Array, *, out: Array | None = None) -> Array:
         require_shapes("scale_rows", w=(w.shape, a.shape[:1]))
         result = self._result("scale_rows", a.shape, out)
         rows, width = a.shape
@@ -133,13 +114,13 @@ class KernelArrays(Specification):
         return result
 
     @operation
-    def reciprocal(self, a: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
+    def reciprocal(self, a: Array, *, out: Array | None = None) -> Array:
         result = self._result("reciprocal", a.shape, out)
         self._reciprocal(a, result)
         return result
 
     @operation
-    def gather(self, a: DeviceArray, index: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
+    def gather(self, a: Array, index: Array, *, out: Array | None = None) -> Array:
         require_index("gather", index)
         width = a.shape[1]
         result = self._result("gather", (*index.shape, width), out)
@@ -148,25 +129,18 @@ class KernelArrays(Specification):
         return result
 
     @operation
-    def half_squares(self, a: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
+    def half_squares(self, a: Array, *, out: Array | None = None) -> Array:
         result = self._result("half_squares", a.shape[:1], out)
         self._row_dots(a, a, result)
         return self.add(result, result, scale_a=0.5, scale_b=0.0, out=result)
 
     @operation
-    def total(self, a: DeviceArray, w: DeviceArray | None = None) -> float:
+    def total(self, a: Array, w: Array | None = None) -> float:
         result = self.device.scratch("total", 1)
         self._dot(a, w, result)
         return float(result.leading(()))
 
-    def _dot(
-        self,
-        a: DeviceArray,
-        b: DeviceArray | None,
-        result: DeviceArray,
-        scale: float = 1.0,
-        accumulate: bool = False,
-    ) -> None:
+    def _dot(self, a: Array, b: Array | None, result: Array, scale: float = 1.0, accumulate: bool = False) -> None:
         """Queue result[0] (+)= scale · Σ a b."""
         if b is not None and b.size != a.size:
             raise InputError(f"total: the weights have shape {b.shape}, the values {a.shape}")
@@ -180,18 +154,18 @@ class KernelArrays(Specification):
         """Return a kernel of ``elementwise.cl``, which is built once for all of them."""
         return self.device.kernel("elementwise", function, EB=ELEMENTS, TB=TRANSPOSE_BLOCK)
 
-    def _reciprocal(self, a: DeviceArray, inverse: DeviceArray) -> None:
+    def _reciprocal(self, a: Array, inverse: Array) -> None:
         """Queue 1 / a, and 0 where a is 0, into as many leading elements of `inverse`."""
         kernel = self._elementwise("reciprocal")
         self.device.launch(kernel, ceil_div(a.size, ELEMENTS), a.size, a, inverse)
 
-    def _row_dots(self, a: DeviceArray, b: DeviceArray, dots: DeviceArray, inverse: DeviceArray | None = None) -> None:
+    def _row_dots(self, a: Array, b: Array, dots: Array, inverse: Array | None = None) -> None:
         """Queue dots[i] = a[i]·b[i] and its reciprocal (0 where it is 0)."""
         rows, width = a.shape
         kernel = self._elementwise("row_dots")
         self.device.launch(kernel, rows, rows, width, a, b, dots, inverse)
 
-    def _result(self, function: str, shape: tuple[int, ...], out: DeviceArray | None, dtype: Any = None) -> DeviceArray:
+    def _result(self, function: str, shape: tuple[int, ...], out: Array | None, dtype: Any = None) -> Array:
         """Return `out` after a check of its shape and type, or a new array."""
         kind = self.dtype if dtype is None else np.dtype(dtype)
         if out is None:
@@ -203,7 +177,7 @@ class KernelArrays(Specification):
             raise InputError(f"{function}: out holds {out.dtype.name}, needed is {kind.name}")
         return out
 
-    def _table(self, key: tuple[Any, ...], make: Callable[[], NDArray[Any]]) -> DeviceArray:
+    def _table(self, key: tuple[Any, ...], make: Callable[[], NDArray[Any]]) -> Array:
         """Return a table that depends on the key only, made and uploaded once."""
         if key not in self._tables:
             self._tables[key] = self.array(make())

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from clalign.engine.band import Band
-from clalign.engine.device import DeviceArray
-from clalign.engine.kernels_arrays import operation, require_shapes
+from clalign.engine.kernels_arrays import Array, ArrayPair, operation, require_shapes
 from clalign.engine.kernels_products import KernelProducts
 
 
@@ -13,15 +12,8 @@ class KernelLosses(KernelProducts):
 
     @operation
     def distortion(
-        self,
-        z: DeviceArray,
-        core_y: DeviceArray,
-        left_x: DeviceArray,
-        core_x: DeviceArray,
-        w: DeviceArray,
-        *,
-        out: tuple[DeviceArray, DeviceArray] | None = None,
-    ) -> tuple[DeviceArray, DeviceArray]:
+        self, z: Array, core_y: Array, left_x: Array, core_x: Array, w: Array, *, out: ArrayPair | None = None
+    ) -> ArrayPair:
         (n, r_y), r_x = z.shape, left_x.shape[1]
         require_shapes("distortion", left_x=(left_x.shape[:1], (n,)), w=(w.shape, (n,)))
         require_shapes("distortion", core_y=(core_y.shape, (r_y, r_y)), core_x=(core_x.shape, (r_x, r_x)))
@@ -62,16 +54,16 @@ class KernelLosses(KernelProducts):
     @operation
     def alignment(
         self,
-        r: DeviceArray,
-        r_transposed: DeviceArray,
-        g_x: DeviceArray,
-        g_y: DeviceArray,
-        g_xy: DeviceArray,
+        r: Array,
+        r_transposed: Array,
+        g_x: Array,
+        g_y: Array,
+        g_xy: Array,
         band: Band,
         one_sided: bool = False,
         *,
-        out: tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray] | None = None,
-    ) -> tuple[DeviceArray, DeviceArray, DeviceArray, DeviceArray]:
+        out: tuple[Array, Array, Array, Array] | None = None,
+    ) -> tuple[Array, Array, Array, Array]:
         square, d = r.shape, band.size
         require_shapes("alignment", r=(square, (d, d)), r_transposed=(r_transposed.shape, square))
         require_shapes("alignment", g_x=(g_x.shape, square), g_y=(g_y.shape, square), g_xy=(g_xy.shape, square))
@@ -98,7 +90,7 @@ class KernelLosses(KernelProducts):
         self.device.launch(values, 1, d, partial, trace_of, numerator, denominator)
         return numerator, denominator, slope, denominator_slope
 
-    def _work(self, name: str, rows: int, columns: int) -> DeviceArray:
+    def _work(self, name: str, rows: int, columns: int) -> Array:
         """Scratch matrix of its own name."""
         kept = self.device.scratch(f"loss.{name}", rows * columns)
         return kept.leading((rows, columns))

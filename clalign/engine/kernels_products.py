@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.engine.band import Band
-from clalign.engine.device import DeviceArray
-from clalign.engine.kernels_arrays import TRANSPOSE_BLOCK, KernelArrays, ceil_div, operation, require_shapes
+from clalign.engine.kernels_arrays import (
+    TRANSPOSE_BLOCK,
+    Array,
+    ArrayPair,
+    KernelArrays,
+    ceil_div,
+    operation,
+    require_shapes,
+)
 
 DEPTH_BLOCK = 256
 """Depth of a block: a panel of it and the rows that meet it stay in the first cache."""
@@ -41,16 +47,7 @@ CHOLESKY_ITEMS = 8
 """Work-items of the one group that factorises."""
 
 
-@dataclass(frozen=True)
-class Skipping:
-    """What a product leaves out, for each as in ``product.cl``: int32 (groups, 2) or (panels, 2), or None."""
-
-    left_depths: DeviceArray | None = None
-    right_depths: DeviceArray | None = None
-    kept: DeviceArray | None = None
-
-
-NOTHING_SKIPPED = Skipping()
+NOTHING_SKIPPED = (None, None, None)
 
 
 class KernelProducts(KernelArrays):
@@ -64,16 +61,16 @@ class KernelProducts(KernelArrays):
     @operation
     def product(
         self,
-        a: DeviceArray,
-        b: DeviceArray,
+        a: Array,
+        b: Array,
         *,
         transpose_a: bool = False,
         transpose_b: bool = False,
         scale: float = 1.0,
         accumulate: bool = False,
         leading: bool = False,
-        out: DeviceArray | None = None,
-    ) -> DeviceArray:
+        out: Array | None = None,
+    ) -> Array:
         m, columns = a.shape[::-1] if transpose_a else a.shape
         depth, n = b.shape[::-1] if transpose_b else b.shape
         if not (leading and not transpose_a and depth <= columns):
@@ -84,36 +81,34 @@ class KernelProducts(KernelArrays):
         return result
 
     @operation
-    def band_expand(self, values: DeviceArray, band: Band, *, out: DeviceArray | None = None) -> DeviceArray:
+    def band_expand(self, values: Array, band: Band, *, out: Array | None = None) -> Array:
         require_shapes("band_expand", values=(values.shape, (band.count,)))
         result = self._result("band_expand", (band.size, band.size), out)
-        lower, offsets = self._band_tables(band)
-        kernel = self._elementwise("band_expand")
-        self.device.launch(kernel, band.size, band.size, lower, offsets, values, result)
-        return result
+        return self._along_band("band_expand", band, values, result)
 
     @operation
-    def band_gather(self, matrix: DeviceArray, band: Band, *, out: DeviceArray | None = None) -> DeviceArray:
+    def band_gather(self, matrix: Array, band: Band, *, out: Array | None = None) -> Array:
         require_shapes("band_gather", matrix=(matrix.shape, (band.size, band.size)))
-        result = self._result("band_gather", (band.count,), out)
-        lower, offsets = self._band_tables(band)
-        kernel = self._elementwise("band_gather")
-        self.device.launch(kernel, band.size, band.size, lower, offsets, matrix, result)
+        return self._along_band("band_gather", band, matrix, self._result("band_gather", (band.count,), out))
+
+    def _along_band(self, function: str, band: Band, values: Array, result: Array) -> Array:
+        kernel = self._elementwise(function)
+        self.device.launch(kernel, band.size, band.size, *self._band_tables(band), values, result)
         return result
 
     @operation
     def banded_product(
         self,
-        a: DeviceArray,
-        b: DeviceArray,
+        a: Array,
+        b: Array,
         *,
         left: Band | None = None,
         right: Band | None = None,
         kept: Band | None = None,
         scale: float = 1.0,
         accumulate: bool = False,
-        out: DeviceArray | None = None,
-    ) -> DeviceArray:
+        out: Array | None = None,
+    ) -> Array:
         # Tiles of zeros and tiles that nobody reads are skipped.
         (m, depth), n = a.shape, b.shape[1]
         require_shapes("banded_product", b=(b.shape[:1], (depth,)))
@@ -121,17 +116,17 @@ class KernelProducts(KernelArrays):
             if band is not None:
                 require_shapes("banded_product", **{name: (shape, (band.size, band.size))})
         result = self._result("banded_product", (m, n), out)
-        skipping = Skipping(
+        skipped = (
             self._ranges(left, self._tile, row_ranges),
             self._ranges(right, self.device.panel_width, panel_ranges),
             self._ranges(kept, self.device.panel_width, panel_ranges),
         )
         adding = accumulate and out is not None
-        self._product(a, b, result, m, n, depth, False, False, scale=scale, accumulate=adding, skipping=skipping)
+        self._product(a, b, result, m, n, depth, False, False, scale=scale, accumulate=adding, skipped=skipped)
         return result
 
     @operation
-    def transpose(self, a: DeviceArray, *, out: DeviceArray | None = None) -> DeviceArray:
+    def transpose(self, a: Array, *, out: Array | None = None) -> Array:
         rows, columns = a.shape
         result = self._result("transpose", (columns, rows), out)
         kernel = self._elementwise("transpose")
@@ -139,9 +134,7 @@ class KernelProducts(KernelArrays):
         return result
 
     @operation
-    def weighted_gram(
-        self, a: DeviceArray, b: DeviceArray, w: DeviceArray | None = None, *, out: DeviceArray | None = None
-    ) -> DeviceArray:
+    def weighted_gram(self, a: Array, b: Array, w: Array | None = None, *, out: Array | None = None) -> Array:
         rows, m = a.shape
         n = b.shape[1]
         require_shapes("weighted_gram", b=(b.shape[:1], (rows,)))
@@ -169,9 +162,7 @@ class KernelProducts(KernelArrays):
         return result
 
     @operation
-    def solve_right(
-        self, gram: DeviceArray, rhs: DeviceArray, ridge: float, *, out: DeviceArray | None = None
-    ) -> DeviceArray:
+    def solve_right(self, gram: Array, rhs: Array, ridge: float, *, out: Array | None = None) -> Array:
         m, k = rhs.shape
         require_shapes("solve_right", gram=(gram.shape, (k, k)))
         result = self._result("solve_right", rhs.shape, out)
@@ -186,9 +177,9 @@ class KernelProducts(KernelArrays):
 
     def _product(
         self,
-        a: DeviceArray,
-        b: DeviceArray,
-        result: DeviceArray,
+        a: Array,
+        b: Array,
+        result: Array,
         m: int,
         n: int,
         depth: int,
@@ -198,14 +189,15 @@ class KernelProducts(KernelArrays):
         *,
         scale: float = 1.0,
         accumulate: bool = False,
-        weight: DeviceArray | None = None,
-        skipping: Skipping | None = None,
+        weight: Array | None = None,
+        skipped: tuple[Array | None, Array | None, Array | None] = NOTHING_SKIPPED,
         splits: int = 1,
     ) -> None:
         """Queue a product, packing a side where what it reads is not contiguous or is read often.
 
         A weight of the depth needs a transposed left side, which is multiplied by it while being packed. A left side
-        that is not transposed may have more `columns` than the depth.
+        that is not transposed may have more `columns` than the depth. `skipped` is what is left out of the left side,
+        the right side and the result: tables as in ``product.cl``, int32 (groups, 2) or (panels, 2), or None.
         """
         width = self.device.panel_width
         group_count, panel_count = ceil_div(m, self._tile), ceil_div(n, width)
@@ -228,11 +220,9 @@ class KernelProducts(KernelArrays):
         size = (ceil_div(group_count, groups), ceil_div(panel_count, panels), splits)
         split_depth = ceil_div(depth, splits)
         sizes = (m, n, depth, groups, panels, split_depth, scale, int(accumulate))
-        skipped = NOTHING_SKIPPED if skipping is None else skipping
-        ranges = skipped.left_depths, skipped.right_depths, skipped.kept
-        self.device.launch(kernel, size, *sizes, a, a_group, a_row, a_step, b, b_step, b_panel, *ranges, result)
+        self.device.launch(kernel, size, *sizes, a, a_group, a_row, a_step, b, b_step, b_panel, *skipped, result)
 
-    def _gram(self, a: DeviceArray, b: DeviceArray, w: DeviceArray | None, result: DeviceArray) -> None:
+    def _gram(self, a: Array, b: Array, w: Array | None, result: Array) -> None:
         """Queue a Gram matrix whose work-items pack what they read: each sums a split of the depth for some rows.
 
         Computed is the transpose where that fills the register tiles better.
@@ -278,9 +268,7 @@ class KernelProducts(KernelArrays):
     def _product_kernel(self, function: str, tile: int) -> Any:
         return self.device.kernel("product", function, RT=tile, KB=DEPTH_BLOCK, DP=DEPTH_PACKED)
 
-    def _pack_panels(
-        self, slot: str, b: DeviceArray, n: int, depth: int, row_stride: int, column_stride: int
-    ) -> DeviceArray:
+    def _pack_panels(self, slot: str, b: Array, n: int, depth: int, row_stride: int, column_stride: int) -> Array:
         """Queue packing of b (depth, n), given by its strides, into (panels, depth, W) scratch."""
         panels = ceil_div(n, self.device.panel_width)
         packed = self.device.scratch(f"panels.{slot}", panels * depth * self.device.panel_width)
@@ -289,9 +277,7 @@ class KernelProducts(KernelArrays):
         self.device.launch(kernel, size, n, depth, b, row_stride, column_stride, packed)
         return packed
 
-    def _pack_tiles(
-        self, slot: str, b: DeviceArray, n: int, depth: int, tile: int, weight: DeviceArray | None = None
-    ) -> DeviceArray:
+    def _pack_tiles(self, slot: str, b: Array, n: int, depth: int, tile: int, weight: Array | None = None) -> Array:
         """Queue packing of diag(weight) b (depth, n) into (tiles, depth, tile) scratch."""
         tiles = ceil_div(n, tile)
         packed = self.device.scratch(f"tiles.{slot}", tiles * depth * tile)
@@ -300,14 +286,12 @@ class KernelProducts(KernelArrays):
         self.device.launch(kernel, size, n, depth, b, weight, packed)
         return packed
 
-    def _band_tables(self, band: Band) -> tuple[DeviceArray, DeviceArray]:
+    def _band_tables(self, band: Band) -> ArrayPair:
         key = (band.lower.tobytes(), band.upper.tobytes())
         lower = self._table(("lower", *key), lambda: band.lower)
         return lower, self._table(("offsets", *key), lambda: band.offsets)
 
-    def _ranges(
-        self, band: Band | None, width: int, make: Callable[[Band, int], NDArray[np.int32]]
-    ) -> DeviceArray | None:
+    def _ranges(self, band: Band | None, width: int, make: Callable[[Band, int], NDArray[np.int32]]) -> Array | None:
         """Table of what the rows or columns of a band reach, kept on the device."""
         if band is None:
             return None

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clalign.engine.device import DeviceArray
-from clalign.engine.kernels_arrays import PART, ceil_div, operation, require_shapes
+from clalign.engine.kernels_arrays import PART, Array, ArrayPair, ceil_div, operation, require_shapes
 from clalign.engine.kernels_products import KernelProducts
 from clalign.engine.reference import RELATIVE_DISTANCE_FLOOR, DistortionKind
 from clalign.errors import InputError
@@ -29,13 +28,13 @@ class KernelSearches(KernelProducts):
     @operation
     def nearest(
         self,
-        queries: DeviceArray,
-        points: DeviceArray,
-        penalty: DeviceArray | None = None,
+        queries: Array,
+        points: Array,
+        penalty: Array | None = None,
         *,
-        guess: DeviceArray | None = None,
-        out: tuple[DeviceArray, DeviceArray] | None = None,
-    ) -> tuple[DeviceArray, DeviceArray]:
+        guess: Array | None = None,
+        out: ArrayPair | None = None,
+    ) -> ArrayPair:
         (m, depth), p = queries.shape, points.shape[0]
         require_shapes("nearest", points=(points.shape[1:], (depth,)))
         if penalty is not None:
@@ -69,14 +68,7 @@ class KernelSearches(KernelProducts):
         return index, score
 
     @operation
-    def soft_map_argmax(
-        self,
-        c: DeviceArray,
-        psi: DeviceArray,
-        w: DeviceArray,
-        *,
-        out: tuple[DeviceArray, DeviceArray] | None = None,
-    ) -> tuple[DeviceArray, DeviceArray]:
+    def soft_map_argmax(self, c: Array, psi: Array, w: Array, *, out: ArrayPair | None = None) -> ArrayPair:
         (n, k), n_y = c.shape, psi.shape[0]
         require_shapes("soft_map_argmax", psi=(psi.shape[1:], (k,)), w=(w.shape, (n_y,)))
         index = self._result("soft_map_argmax", (n,), out and out[0], np.int32)
@@ -95,14 +87,14 @@ class KernelSearches(KernelProducts):
     @operation
     def distortion_batch(
         self,
-        dx: DeviceArray,
-        dy: DeviceArray,
-        w: DeviceArray,
-        index: DeviceArray,
+        dx: Array,
+        dy: Array,
+        w: Array,
+        index: Array,
         kind: DistortionKind = "squared",
         *,
-        out: DeviceArray | None = None,
-    ) -> DeviceArray:
+        out: Array | None = None,
+    ) -> Array:
         if kind not in ("squared", "relative"):
             raise InputError(f"distortion_batch: kind must be squared or relative, got {kind!r}")
         m, maps = index.shape
@@ -121,9 +113,7 @@ class KernelSearches(KernelProducts):
         return result
 
     @operation
-    def map_distance(
-        self, dx: DeviceArray, w: DeviceArray, index: DeviceArray, *, out: DeviceArray | None = None
-    ) -> DeviceArray:
+    def map_distance(self, dx: Array, w: Array, index: Array, *, out: Array | None = None) -> Array:
         m, maps = index.shape
         p = dx.shape[0]
         require_shapes("map_distance", dx=(dx.shape, (p, p)), w=(w.shape, (m,)))

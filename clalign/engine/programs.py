@@ -61,15 +61,12 @@ def kernel_source(name: str, defines: Mapping[str, str | int]) -> Source:
     The text begins with a hash of itself and of the options: PoCL's cache may otherwise return a program that was
     built with other ``-D`` values.
 
-    Parameters
-    ----------
-    name : one of `program_names`.
     defines : ``-D`` names and values.
 
     Raises
     ------
     DeviceError
-        Unknown program.
+        `name` is not one of `program_names`.
     """
     if name not in program_names():
         raise DeviceError(f"unknown kernel program {name!r}; there are {', '.join(program_names())}")
@@ -89,10 +86,9 @@ def _expanded(file: str) -> str:
 
 
 def _signatures(text: str) -> dict[str, tuple[str, ...]]:
-    found = {}
-    for function, arguments in SIGNATURE.findall(text):
-        found[function] = tuple(_argument_type(argument) for argument in arguments.split(","))
-    return found
+    return {
+        function: tuple(map(_argument_type, arguments.split(","))) for function, arguments in SIGNATURE.findall(text)
+    }
 
 
 def _argument_type(declaration: str) -> str:

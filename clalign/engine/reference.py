@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.engine.band import Band
-from clalign.engine.reference_arrays import Array, ReferenceArrays, reciprocal, stored
+from clalign.engine.reference_arrays import Array, ArrayPair, ReferenceArrays, reciprocal, stored
 
 DistortionKind: TypeAlias = Literal["squared", "relative"]
 
@@ -57,9 +57,7 @@ def blocks(rows: int, width: int) -> Iterator[slice]:
         yield slice(start, min(rows, start + step))
 
 
-def best_points(
-    queries: Array, points: Array, score: Callable[[Array], Array], out: tuple[Array, Array] | None
-) -> tuple[Array, Array]:
+def best_points(queries: Array, points: Array, score: Callable[[Array], Array], out: ArrayPair | None) -> ArrayPair:
     """For each query the point of largest `score`, a function of the products q·p_j; ties go to the lowest index."""
     index = np.zeros(queries.shape[0], dtype=np.int32)
     best = np.zeros(queries.shape[0], dtype=queries.dtype)
@@ -97,9 +95,7 @@ class Reference(ReferenceArrays):
         doubled = dpacked * pair_factor(psi.shape[1], psi.dtype)[:, None]
         return stored(w[:, None] * quadratic_forms(psi, doubled), out)
 
-    def soft_map(
-        self, c: Array, packed: Array, normal: Array = None, *, out: tuple[Array, Array] | None = None
-    ) -> tuple[Array, Array]:
+    def soft_map(self, c: Array, packed: Array, normal: Array = None, *, out: ArrayPair | None = None) -> ArrayPair:
         """Z = PᵀU (Eq. 15, 27): z_jr = c_j M_r c_jᵀ / s_j, s_j = |c_j|² or c_j `normal` c_jᵀ; (n, r) and (n,).
 
         c (n, k) holds rows C φ_j; `normal` (k, k) is ψᵀ diag(w) ψ where that is not the identity. A row c_j = 0 gives
@@ -122,9 +118,7 @@ class Reference(ReferenceArrays):
         removed = np.sum(dz * z, axis=1)[:, None] * (c if normal is None else c @ normal)
         return stored((gradient - 2 * removed) * reciprocal(s)[:, None], out)
 
-    def soft_map_streamed(
-        self, c: Array, psi: Array, w: Array, u: Array, *, out: tuple[Array, Array] | None = None
-    ) -> tuple[Array, Array]:
+    def soft_map_streamed(self, c: Array, psi: Array, w: Array, u: Array, *, out: ArrayPair | None = None) -> ArrayPair:
         """The same Z and s from q_ij = ψ_i·c_j tile by tile: z_jr = Σ_i w_i q_ij² u_ir / s_j, s_j = Σ_i w_i q_ij²."""
         z = np.zeros((c.shape[0], u.shape[1]), dtype=c.dtype)
         s = np.zeros(c.shape[0], dtype=c.dtype)
@@ -145,9 +139,7 @@ class Reference(ReferenceArrays):
             gradient[rows] = 2 * (slope @ psi) * reciprocal(s[rows])[:, None]
         return stored(gradient, out)
 
-    def soft_map_argmax(
-        self, c: Array, psi: Array, w: Array, *, out: tuple[Array, Array] | None = None
-    ) -> tuple[Array, Array]:
+    def soft_map_argmax(self, c: Array, psi: Array, w: Array, *, out: ArrayPair | None = None) -> ArrayPair:
         """The hard map of the soft one (Eq. 16, 28): argmax_i w_i (ψ_i·c_j)², and that maximum; (n,) int32 and (n,).
 
         c (n, k), psi (n_y, k), w (n_y,) not negative. Ties go to the lowest index.
@@ -155,14 +147,8 @@ class Reference(ReferenceArrays):
         return best_points(c, psi, lambda products: products * products * w, out)
 
     def nearest(
-        self,
-        queries: Array,
-        points: Array,
-        penalty: Array = None,
-        *,
-        guess: Array = None,
-        out: tuple[Array, Array] | None = None,
-    ) -> tuple[Array, Array]:
+        self, queries: Array, points: Array, penalty: Array = None, *, guess: Array = None, out: ArrayPair | None = None
+    ) -> ArrayPair:
         """For each query the point of largest score, and the score: (m,) int32 and (m,). Ties go to the lowest index.
 
         The score of point j for query q is q·p_j − penalty_j, so penalty = ½|p_j|² finds the nearest neighbour.
@@ -174,15 +160,8 @@ class Reference(ReferenceArrays):
         return best_points(queries, points, lambda products: products if penalty is None else products - penalty, out)
 
     def distortion(
-        self,
-        z: Array,
-        core_y: Array,
-        left_x: Array,
-        core_x: Array,
-        w: Array,
-        *,
-        out: tuple[Array, Array] | None = None,
-    ) -> tuple[Array, Array]:
+        self, z: Array, core_y: Array, left_x: Array, core_x: Array, w: Array, *, out: ArrayPair | None = None
+    ) -> ArrayPair:
         """Eq. 22 from low-rank distances: l = Σ_jl w_j w_l (U T_X Uᵀ − Z T_Y Zᵀ)²_jl and dl/dZ (n, r).
 
         U = left_x (n, r_x) must satisfy Uᵀ diag(w) U = I; T_X = core_x and T_Y = core_y are symmetric. With B = UᵀΩZ,

@@ -13,6 +13,7 @@ from clalign.engine.band import Band
 
 Array: TypeAlias = Any
 """An array of a backend: `numpy.ndarray` for the reference, `clalign.engine.device.DeviceArray` for OpenCL."""
+ArrayPair: TypeAlias = tuple[Array, Array]
 
 
 def stored(value: ArrayLike, out: Array) -> Array:

@@ -57,48 +57,25 @@ def self_test(backend: Backend) -> tuple[KernelCheck, ...]:
 def _check(
     name: str, function: Callable[..., Any], values: dict[str, NDArray[Any]], backend: Backend, tolerance: float
 ) -> KernelCheck:
+    def computed(side: Backend) -> NDArray[Any]:
+        return side.numpy(function(side, **{key: side.array(array) for key, array in values.items()}))
+
     start = time.perf_counter()
-    result = np.asarray(function(backend, **{key: backend.array(array) for key, array in values.items()}))
+    result = computed(backend)
     seconds = time.perf_counter() - start
-    reference = Reference()
-    expected = np.asarray(function(reference, **{key: reference.array(array) for key, array in values.items()}))
+    expected = computed(Reference())
     scale = max(float(np.abs(expected).max()), np.finfo(np.float64).tiny)
     return KernelCheck(name, float(np.abs(result - expected).max()) / scale, tolerance, seconds)
 
 
-def _product(backend: Backend, points: Any, queries: Any, **_: Any) -> NDArray[Any]:
-    return backend.numpy(backend.product(queries, points, transpose_b=True))
-
-
-def _weighted_gram(backend: Backend, points: Any, columns: Any, weights: Any, **_: Any) -> NDArray[Any]:
-    return backend.numpy(backend.weighted_gram(points, columns, weights))
-
-
-def _solve_right(backend: Backend, points: Any, queries: Any, **_: Any) -> NDArray[Any]:
-    gram = backend.weighted_gram(points, points)
-    return backend.numpy(backend.solve_right(gram, queries, 1e-3))
-
-
-def _soft_map(backend: Backend, points: Any, queries: Any, columns: Any, weights: Any) -> NDArray[Any]:
-    packed = backend.packed_moments(points, weights, columns)
-    mapped, _ = backend.soft_map(queries, packed)
-    return backend.numpy(mapped)
-
-
-def _nearest(backend: Backend, points: Any, queries: Any, **_: Any) -> NDArray[Any]:
-    _, score = backend.nearest(queries, points, None)
-    return backend.numpy(score)
-
-
-def _total(backend: Backend, points: Any, **_: Any) -> NDArray[Any]:
-    return np.asarray(backend.total(backend.product(points, points, transpose_a=True)), dtype=np.float64)
-
-
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "product": _product,
-    "weighted_gram": _weighted_gram,
-    "solve_right": _solve_right,
-    "soft_map": _soft_map,
-    "nearest": _nearest,
-    "total": _total,
+    "product": lambda b, points, queries, **_: b.product(queries, points, transpose_b=True),
+    "weighted_gram": lambda b, points, columns, weights, **_: b.weighted_gram(points, columns, weights),
+    "solve_right": lambda b, points, queries, **_: b.solve_right(b.weighted_gram(points, points), queries, 1e-3),
+    "soft_map": lambda b, points, queries, columns, weights: b.soft_map(
+        queries, b.packed_moments(points, weights, columns)
+    )[0],
+    "nearest": lambda b, points, queries, **_: b.nearest(queries, points, None)[1],
+    "total": lambda b, points, **_: b.array(b.total(b.product(points, points, transpose_a=True))),
 }
+"""By name; each takes the backend and the arrays of `self_test`."""

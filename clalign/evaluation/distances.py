@@ -10,8 +10,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from clalign.evaluation.truth import Truth, true_maps
-from clalign.geometry.geodesics import DistanceFactors, Geodesics
-from clalign.geometry.heat import HeatMethod
+from clalign.geometry.geodesics import DistanceFactors
+from clalign.geometry.heat import Geodesics, HeatMethod
 from clalign.geometry.shape import Shape
 from clalign.mesh.mesh import Mesh
 

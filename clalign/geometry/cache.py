@@ -44,15 +44,10 @@ class CacheInfo:
 
 
 def content_key(kind: str, arrays: Mapping[str, NDArray[Any]], values: Mapping[str, Any]) -> str:
-    """Return a key for what is computed from some arrays and option values.
+    """Return a key for what is computed from some arrays and values, anything that JSON can write.
 
-    Two inputs have the same key when kind, values and the exact bytes, shapes and types of the arrays agree.
-
-    Parameters
-    ----------
-    kind : what is computed; the key starts with it.
-    arrays : by name.
-    values : anything that JSON can write.
+    Two inputs have the same key when kind, values and the exact bytes, shapes and types of the arrays agree. The key
+    starts with the kind.
     """
     digest = hashlib.sha256(json.dumps([FORMAT, kind, values], sort_keys=True).encode())
     for name in sorted(arrays):
@@ -89,7 +84,8 @@ class ShapeCache:
         # A damaged file makes zipfile and numpy raise almost anything, NotImplementedError and MemoryError included.
         except Exception as error:
             logger.warning("cache entry %s cannot be read (%s); it is computed again", path, error)
-            self.discard(key)
+            with contextlib.suppress(OSError):
+                path.unlink()
             return None
         # The time of last use only decides what is evicted. It cannot be set in a folder that is read-only or belongs
         # to somebody else, nor after another process has evicted the entry; what was read is whole all the same.
@@ -113,11 +109,6 @@ class ShapeCache:
             logger.warning("the cache in %s cannot be written (%s); going on without it", self.folder, error)
             return False
         return True
-
-    def discard(self, key: str) -> None:
-        """Remove an entry, if it exists and can be removed."""
-        with contextlib.suppress(OSError):
-            self._path(key).unlink()
 
     def clear(self) -> int:
         """Remove all entries and return how many there were."""

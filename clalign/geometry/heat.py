@@ -5,6 +5,9 @@ It is imported by the interpreter of `heat_process` too, which starts the sooner
 
 from __future__ import annotations
 
+import os
+import pickle
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -25,31 +28,38 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class FarthestPoints:
-    """Farthest-point samples with their distances.
+class Geodesics:
+    """Distances from farthest-point samples, in the length unit of the mesh.
 
     Attributes
     ----------
-    samples : (S,) int64, vertices.
-    between : (S, S) float32, distances from each sample to all samples, as computed, so not quite symmetric.
+    samples : (S,) int64, vertices in farthest-point order: the first s of them are a farthest-point sampling too.
+    distances : (S, S) float64 between samples, symmetric with zero diagonal.
     rows : (N, n) float32 from the first N samples to all vertices.
-    areas : (S,) float64, area that is closest to each sample.
+    weights : (S,) float64, share of the area that is closest to each sample; sums to 1.
     """
 
     samples: NDArray[np.int64]
-    between: NDArray[np.float32]
+    distances: NDArray[np.float64]
     rows: NDArray[np.float32]
-    areas: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+    def sample_weights(self, count: int) -> NDArray[np.float64]:
+        """Return the area shares of the first `count` samples, those of later samples given to the nearest of them."""
+        return prefix_shares(self.distances, self.weights, count)
+
+
+def prefix_shares(distances: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Return the (count,) area shares of the first samples when those of later ones go to the nearest of them.
+
+    distances, weights : (S, S) between samples, and (S,) area shares of all.
+    """
+    nearest = distances[:count].argmin(axis=0)
+    return np.bincount(nearest, weights=weights, minlength=count).astype(np.float64)
 
 
 class HeatMethod:
-    """Distances from single vertices by the heat method, factorised once.
-
-    Parameters
-    ----------
-    vertices : (n, 3).
-    faces : (m, 3).
-    name : of the mesh, for messages.
+    """Distances from single vertices by the heat method, factorised once; `name` is for messages.
 
     Raises
     ------
@@ -76,15 +86,15 @@ class HeatMethod:
         return distances
 
 
-def farthest_points(
-    surface: Surface, central: int, count: int, kept: int, watch: Callable[[], None] | None = None
-) -> FarthestPoints:
+def farthest_points(surface: Surface, count: int, kept: int, watch: Callable[[], None] = lambda: None) -> Geodesics:
     """Sample vertices, each as far as possible from those before, and measure distances from them.
+
+    The first sample is the vertex farthest from the one nearest to the centroid, so that the samples do not depend on
+    how the vertices are numbered.
 
     Parameters
     ----------
     surface : what is sampled.
-    central : the first sample is the vertex farthest from this one.
     count : S, at most n.
     kept : N, at most S.
     watch : called before every sample; what it raises ends the sampling.
@@ -100,10 +110,11 @@ def farthest_points(
     rows = np.zeros((count, n), dtype=np.float32)
     gap = np.full(n, np.inf, dtype=np.float32)
     owner = np.zeros(n, dtype=np.int64)
-    following = int(heat.row(central).argmax())
+    centre = surface.mass @ surface.vertices / surface.mass.sum()
+    central = np.square(surface.vertices - centre).sum(axis=1).argmin()
+    following = int(heat.row(int(central)).argmax())
     for index in range(count):
-        if watch is not None:
-            watch()
+        watch()
         samples[index] = following
         rows[index] = heat.row(following)
         closer = rows[index] < gap
@@ -115,8 +126,22 @@ def farthest_points(
         following = int(gap.argmax())
     # The factors and the rows beyond the first are the largest arrays, and what comes of them is to be sent away.
     del heat
-    between = np.ascontiguousarray(rows[:, samples])
+    between = rows[:, samples].astype(np.float64)
     if kept < count:
         rows = rows[:kept].copy()
     areas = np.bincount(owner, weights=surface.mass, minlength=count).astype(np.float64)
-    return FarthestPoints(samples=samples, between=between, rows=rows, areas=areas)
+    return Geodesics(samples, 0.5 * (between + between.T), rows, areas / areas.sum())
+
+
+def answer() -> None:
+    """Read the arguments of `farthest_points`, pickled, from standard input; write what it returns, or a MeshError."""
+    # Native code prints to the standard output; only what is sent may go where the answer goes.
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    found: Geodesics | MeshError
+    try:
+        found = farthest_points(*pickle.load(sys.stdin.buffer))
+    except MeshError as error:
+        found = error
+    pickle.dump(found, answers, pickle.HIGHEST_PROTOCOL)
+    answers.close()

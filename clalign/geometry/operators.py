@@ -34,19 +34,10 @@ _FACES_AT_ONCE = 1024
 
 
 def stiffness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> sparse.csr_matrix:
-    """Return the cotangent matrix W, positive semi-definite with zero row sums.
+    """Return the (n, n) cotangent matrix W, positive semi-definite with zero row sums, free of units.
 
     The matrix of one face is the Gram matrix of its edge vectors over twice its doubled area, e_i·e_j / (2 |e_i×e_j|).
     In this form a sliver is tamed by raising the area alone: cotangents stay finite and the matrix positive.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int32
-
-    Returns
-    -------
-    (n, n) float64 in CSR format; free of units (it does not change when the mesh is scaled).
     """
     corners = vertices[faces]
     edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
@@ -63,12 +54,7 @@ def stiffness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> sparse
 
 
 def lumped_mass(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return the vertex areas, a third of the areas of the faces around each vertex.
-
-    Returns
-    -------
-    (n,) float64, positive, summing to the surface area.
-    """
+    """Return the (n,) vertex areas, a third of the faces around each vertex: positive, summing to the surface area."""
     mass = vertex_areas(vertices, faces)
     return np.maximum(mass, SMALLEST_MASS * mass.mean())
 
@@ -76,14 +62,10 @@ def lumped_mass(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDAr
 def gaussian_curvature(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], mass: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the angle defect of every vertex over its area.
+    """Return the (n,) angle defects of the vertices over their areas, in units of 1/area.
 
     The full angle is 2π inside and π on the boundary, so that the mass-weighted sum is 2π times the Euler
     characteristic (Gauss–Bonnet) up to the turning of the boundary, which is included.
-
-    Returns
-    -------
-    (n,) float64, in units of 1/area.
     """
     corners = vertices[faces]
     angles = np.zeros(faces.shape, dtype=np.float64)
@@ -101,21 +83,10 @@ def mean_curvature(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int32],
     mass: NDArray[np.float64],
-    weights: sparse.csr_matrix | None = None,
+    weights: sparse.csr_matrix,
 ) -> NDArray[np.float64]:
-    """Return the mean curvature H = n·(A⁻¹W x) / 2, positive on a sphere with outward faces.
-
-    Parameters
-    ----------
-    weights : the stiffness matrix, where it has been computed already.
-
-    Returns
-    -------
-    (n,) float64, in units of 1/length.
-    """
-    matrix = stiffness(vertices, faces) if weights is None else weights
-    pull = matrix @ vertices
-    return np.einsum("nx,nx->n", vertex_normals(vertices, faces), pull) / (2.0 * mass)
+    """Return the (n,) mean curvature H = n·(A⁻¹W x) / 2, in 1/length, positive on a sphere with outward faces."""
+    return np.einsum("nx,nx->n", vertex_normals(vertices, faces), weights @ vertices) / (2.0 * mass)
 
 
 def defect_correlation(curvature: NDArray[np.float64], mass: NDArray[np.float64], faces: NDArray[np.int32]) -> float:
@@ -124,17 +95,9 @@ def defect_correlation(curvature: NDArray[np.float64], mass: NDArray[np.float64]
     On a surface that is sampled well curvature varies little from a vertex to the next. Noise that lifts a vertex
     raises its defect and lowers those around it, so it correlates negatively. On humans and animals without noise the
     value is 0.3 to 0.7, with noise of a tenth of the edges 0.04, with two tenths −0.14; after splitting every flat face
-    into four it is 0.
+    into four it is 0, and 1 for a surface without curvature.
 
-    Parameters
-    ----------
-    curvature : (n,) angle defects over areas.
-    mass : (n,) vertex areas.
-    faces : (m, 3) int32
-
-    Returns
-    -------
-    A number in [−1, 1]; 1 for a surface without curvature.
+    curvature, mass : (n,) angle defects over areas, and the areas.
     """
     defects = curvature * mass
     limit = np.quantile(np.abs(defects), DEFECT_QUANTILE)
@@ -147,21 +110,16 @@ def defect_correlation(curvature: NDArray[np.float64], mass: NDArray[np.float64]
 def diffused(
     values: NDArray[np.float64], mass: NDArray[np.float64], weights: sparse.csr_matrix, time: float
 ) -> NDArray[np.float64]:
-    """Return values after one implicit step of the heat equation, (M + t W) f = M values.
+    """Return (n,) values after one implicit step of the heat equation, (M + t W) f = M values.
 
     Unlike smoothing over neighbours this forgets what is finer than about sqrt(2t), whatever the mesh; the total
     ``mass @ values`` is kept.
 
     Parameters
     ----------
-    values : (n,) float64.
     mass : (n,) vertex areas, the diagonal of M.
     weights : (n, n) stiffness matrix W.
     time : t in units of the surface's area ΣM; 0 returns the values.
-
-    Returns
-    -------
-    (n,) float64, in the units of the values.
 
     Raises
     ------
@@ -184,7 +142,7 @@ def conformal_factor(
     options: SpectrumOptions,
     spectrum: Spectrum | None = None,
 ) -> NDArray[np.float64]:
-    """Return the factor that the metric is multiplied by to make it scale-invariant.
+    """Return the (n,) positive factor that the metric is multiplied by to make it scale-invariant.
 
     "euclidean" is 1 (Eq. 3); "regularized" is sqrt(K² + epsilon²) (Eq. 7); "power" is |K|^xi (Eq. 29) with |K| clamped
     to its quantiles, as xi near 1 otherwise puts a fifth of the area on a hundredth of the vertices; "heat-kernel" is
@@ -193,14 +151,9 @@ def conformal_factor(
 
     Parameters
     ----------
-    curvature : (n,) Gaussian curvature, smoothed or not.
-    mass : (n,) vertex areas.
+    curvature, mass : (n,) Gaussian curvature, smoothed or not, and vertex areas.
     options : metric, xi, clamp and epsilon are read.
     spectrum : eigenfunctions of the Laplace–Beltrami operator, needed by "heat-kernel" only.
-
-    Returns
-    -------
-    (n,) float64, positive; ``mass @ factor`` is 1.
 
     Raises
     ------
@@ -231,21 +184,13 @@ def _clamped_power(
 
 
 def heat_kernel_curvature(spectrum: Spectrum) -> NDArray[np.float64]:
-    """Return the Gaussian curvature read off the diagonal of the heat kernel, smoothed over the diffusion length.
+    """Return (n,) Gaussian curvature, in 1/area, read off the heat kernel and smoothed over the diffusion length.
 
     For small t, h_t(x, x) = (1 + K t / 3 + O(t²)) / (4πt), so K = (3 / t) (4πt h_t(x, x) − 1), where
     h_t(x, x) = Σ exp(−λ_i t) φ_i(x)². The spectrum is cut at the eigenvalue Λ of its last pair. By Weyl's law what
     lies above contributes exp(−Λt) / (4πt) on average over the surface, which is added. The time is proportional to
     the area, `HEAT_TIME` times it, or longer where Λ is so small that the added tail would exceed exp(−6): so K is
     covariant under scaling, and the metric |K|^xi made from it changes by a constant only.
-
-    Parameters
-    ----------
-    spectrum : Laplace–Beltrami eigenfunctions.
-
-    Returns
-    -------
-    (n,) float64, in units of 1/area.
     """
     last = float(spectrum.eigenvalues[-1])
     time = max(HEAT_TIME * float(spectrum.mass.sum()), 6.0 / max(last, np.finfo(np.float64).tiny))
@@ -261,18 +206,10 @@ def orientation_products(
     first: NDArray[np.int64],
     second: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Return n · (∇f_a × ∇f_b) at the vertices for pairs of functions, the mean over the faces around each vertex.
+    """Return (n, q) products n · (∇f_a × ∇f_b) at the vertices, means over the faces around, in units of f² / area.
 
-    Parameters
-    ----------
-    faces : (m, 3) int32, consistently oriented.
-    mass : (n,) vertex areas.
-    functions : (n, p) float64.
-    first, second : (q,), a and b of every pair.
-
-    Returns
-    -------
-    (n, q) float64, in units of f² / area; the sign changes with the orientation of the faces.
+    Their sign changes with the orientation of the faces. `first` and `second` (q,) are a and b of every pair of
+    `functions` (n, p).
     """
     corners = functions[faces]
     along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -288,16 +225,8 @@ def orientation_tensor(faces: NDArray[np.int32], functions: NDArray[np.float64])
 
     On a face, n·(∇f × ∇g) times its area is half the determinant of the differences of f and g along two edges: the
     integral needs no lengths, only the orientation of the faces. φ_c is taken as the mean of the three corners. The
-    tensor is carried along by maps that keep the orientation and changes sign under those that reverse it.
-
-    Parameters
-    ----------
-    faces : (m, 3) int32, consistently oriented.
-    functions : (n, p) float64.
-
-    Returns
-    -------
-    (p, p, p) float64, antisymmetric in the first two indices.
+    tensor is carried along by maps that keep the orientation and changes sign under those that reverse it. For
+    functions (n, p) it is (p, p, p), antisymmetric in the first two indices.
     """
     p = functions.shape[1]
     # One half of the determinants, for all a, b and c; the other half is the same with a and b exchanged.

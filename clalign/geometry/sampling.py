@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from clalign.geometry.geodesics import Geodesics
+from clalign.geometry.heat import Geodesics
 
 LEAF = 16
 """Vertices that follow each other in no particular order: about as many points as a group of a backend has."""

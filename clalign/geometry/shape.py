@@ -16,7 +16,8 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from clalign.geometry.cache import ShapeCache, content_key
-from clalign.geometry.geodesics import DistanceFactors, Geodesics, farthest_point_geodesics, low_rank
+from clalign.geometry.geodesics import DistanceFactors, farthest_point_geodesics, low_rank
+from clalign.geometry.heat import Geodesics
 from clalign.geometry.heat_process import HeatProcess
 from clalign.geometry.operators import (
     conformal_factor,
@@ -134,9 +135,12 @@ def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | No
     with ExitStack() as stack:
         stack.enter_context(single_threaded_blas())
         pool = stack.enter_context(thread_pool(max(min(len(meshes), processor_count()), 1)))
+        processes = [HeatProcess() for _ in meshes]
+        for process in processes:
+            stack.callback(process.stop)
         distances = [
-            pool.submit(_distances, mesh, options.geodesics, stack.enter_context(HeatProcess()), cache)
-            for mesh in meshes
+            pool.submit(_distances, mesh, options.geodesics, process, cache)
+            for mesh, process in zip(meshes, processes, strict=True)
         ]
         spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
         return [
@@ -175,16 +179,14 @@ def _spectra(
     mesh: Mesh, options: SpectrumOptions, cache: ShapeCache | None
 ) -> tuple[_Operators, float, Spectrum, Spectrum]:
     mass = lumped_mass(mesh.vertices, mesh.faces)
-    operators = _Operators(
-        stiffness(mesh.vertices, mesh.faces), mass, gaussian_curvature(mesh.vertices, mesh.faces, mass)
-    )
+    curvature = gaussian_curvature(mesh.vertices, mesh.faces, mass)
+    operators = _Operators(stiffness(mesh.vertices, mesh.faces), mass, curvature)
     count = max(options.basis, options.refinement)
-    basis = _stored(
-        cache,
-        content_key("basis", _surface(mesh), {"count": count}),
-        Spectrum,
-        lambda: solve(operators.stiffness, mass, count, processor_count()),
-    )
+
+    def compute() -> Spectrum:
+        return solve(operators.stiffness, mass, count, processor_count())
+
+    basis = _stored(cache, "basis", mesh, {"count": count}, Spectrum, compute)
     smoothing = _smoothing(mesh, operators, options)
     return operators, smoothing, basis, _scale_invariant(mesh, operators, basis, options, smoothing, cache)
 
@@ -213,40 +215,38 @@ def _scale_invariant(
 
     names = ("scale_invariant", "metric", "xi", "clamp", "epsilon")
     values = {name: getattr(options, name) for name in names} | {"basis": basis.count, "smoothing": smoothing}
-    return _stored(cache, content_key("scale_invariant", _surface(mesh), values), Spectrum, compute)
+    return _stored(cache, "scale_invariant", mesh, values, Spectrum, compute)
 
 
 def _distances(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
-    with heat:
-        return _sampled(mesh, options, heat, cache)
-
-
-def _sampled(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
     values = {"search": options.search_samples, "factor": options.factor_samples}
-    return _stored(
-        cache,
-        content_key("geodesics", _surface(mesh), values),
-        Geodesics,
-        lambda: farthest_point_geodesics(mesh, options.search_samples, options.factor_samples, heat.farthest_points),
-    )
+
+    def compute() -> Geodesics:
+        return farthest_point_geodesics(mesh, options.search_samples, options.factor_samples, heat.farthest_points)
+
+    return _stored(cache, "geodesics", mesh, values, Geodesics, compute)
 
 
-def _stored(cache: ShapeCache | None, key: str, kind: type[Part], compute: Callable[[], Part]) -> Part:
-    """Return a part of a shape from the cache, or compute and store it."""
+def _stored(
+    cache: ShapeCache | None,
+    part_name: str,
+    mesh: Mesh,
+    values: dict[str, Any],
+    kind: type[Part],
+    compute: Callable[[], Part],
+) -> Part:
+    """Return a part of a shape from the cache, under what it depends on, or compute and store it."""
+    key = content_key(part_name, {"vertices": mesh.vertices, "faces": mesh.faces}, values)
     names = {item.name for item in dataclasses.fields(kind)}
     found = None if cache is None else cache.get(key)
     if found is not None and found.keys() == names:
         return kind(**found)
     started = time.perf_counter()
     part = compute()
-    logger.info("%s computed in %.2f s", key.partition("-")[0], time.perf_counter() - started)
+    logger.info("%s computed in %.2f s", part_name, time.perf_counter() - started)
     if cache is not None:
         cache.put(key, {name: getattr(part, name) for name in names})
     return part
-
-
-def _surface(mesh: Mesh) -> dict[str, NDArray[Any]]:
-    return {"vertices": mesh.vertices, "faces": mesh.faces}
 
 
 def _shape(
@@ -260,9 +260,7 @@ def _shape(
     mean = mean_curvature(mesh.vertices, mesh.faces, operators.mass, operators.stiffness)
     return Shape(
         mesh=mesh,
-        stiffness=operators.stiffness,
-        mass=operators.mass,
-        curvature=operators.curvature,
+        **vars(operators),
         smoothing=smoothing,
         basis=basis,
         scale_invariant=scale_invariant,

@@ -60,13 +60,8 @@ class Spectrum:
         return Spectrum(self.eigenvalues[:count], np.ascontiguousarray(kept), self.mass)
 
 
-def solve(
-    stiffness: sparse.csr_matrix,
-    mass: NDArray[np.float64],
-    count: int,
-    threads: int = 1,
-) -> Spectrum:
-    """Return the lowest eigenpairs of W φ = λ M φ, with every residual checked.
+def solve(stiffness: sparse.csr_matrix, mass: NDArray[np.float64], count: int, threads: int = 1) -> Spectrum:
+    """Return the lowest eigenpairs of W φ = λ M φ, with every residual checked, and signs as `fix_signs` gives them.
 
     Meshes below `DENSE_BELOW` vertices are solved densely. No more than a third of the vertices can be asked for, as
     the higher discrete eigenfunctions say nothing about the surface; a larger count is lowered and logged.
@@ -75,13 +70,7 @@ def solve(
     ----------
     stiffness : (n, n) symmetric positive semi-definite W.
     mass : (n,) positive diagonal of M.
-    count : number of eigenpairs.
     threads : slices of the spectrum that block Lanczos (`lanczos.lowest_pairs`) computes side by side.
-
-    Returns
-    -------
-    Spectrum
-        Functions orthonormal in M, with signs fixed as in `fix_signs`.
 
     Raises
     ------
@@ -116,15 +105,10 @@ def eigenvalue_unit(mass: NDArray[np.float64]) -> float:
 
 
 def fix_signs(functions: NDArray[np.float64], mass: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the functions with signs that depend on the functions alone, not on the solver.
+    """Return functions (n, k), orthonormal in M, with signs that depend on them alone, not on the solver.
 
     A function is given the sign that makes its third moment Σ M φ³ positive; where that vanishes (odd functions of a
     symmetric shape) the sign that makes its entry of largest magnitude positive.
-
-    Parameters
-    ----------
-    functions : (n, k) float64, orthonormal in M.
-    mass : (n,) float64.
     """
     third = mass @ (functions * functions * functions)
     largest = np.take_along_axis(functions, np.abs(functions).argmax(axis=0)[None], axis=0)[0]

@@ -8,7 +8,6 @@ passed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from clalign.errors import MeshError
 from clalign.mesh import topology
 from clalign.mesh.defects import SHOWN, Defect, Diagnosis, Severity, Surface
+from clalign.mesh.topology import IntArray
 
 MIN_VERTICES = 12
 """Fewer vertices than an icosahedron has carry no eigenfunctions worth aligning."""
@@ -26,51 +26,65 @@ SMALL_COMPONENTS = 0.01
 """Components beside the largest are left out if together they have less than this part of the area."""
 NO_AREA = 1e-12
 """A face below this part of its squared longest side, or a vertex below this part of the mean, has no area."""
+NONE: IntArray = np.zeros(0, dtype=np.int64)
 
-Checked = tuple[Surface, list[Defect]]
+
+class Examination:
+    """A surface with the harmless defects put right so far, and all that was found."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+        self.defects: list[Defect] = []
+
+    @property
+    def refused(self) -> bool:
+        """Whether a defect was found that the method cannot work with."""
+        return any(defect.severity is Severity.REFUSED for defect in self.defects)
+
+    def add(
+        self,
+        kind: str,
+        count: int,
+        problem: str,
+        *,
+        vertices: IntArray = NONE,
+        faces: IntArray = NONE,
+        action: str = "",
+        advice: str = "",
+    ) -> None:
+        """Record a finding about numbers of `surface` under the numbers of the file.
+
+        What the program acts on is handled, what it can only advise on is refused, and the rest is fine.
+        """
+        severity = Severity.HANDLED if action else Severity.REFUSED if advice else Severity.FINE
+        vertex_numbers = tuple(self.surface.file_index[vertices[:SHOWN]].tolist())
+        face_numbers = tuple(self.surface.face_index[faces[:SHOWN]].tolist())
+        self.defects.append(Defect(kind, severity, count, problem, vertex_numbers, face_numbers, action, advice))
 
 
 def diagnose(vertices: ArrayLike, faces: ArrayLike, name: str = "mesh") -> Diagnosis:
-    """Check a mesh and put right what is harmless.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float
-    faces : (m, 3) int
-        vertex numbers from 0.
-    name : str
-        what to call the mesh in an error.
-
-    Returns
-    -------
-    Diagnosis
+    """Check a mesh, vertices (n, 3) and faces (m, 3) from 0, and put right what is harmless.
 
     Raises
     ------
     MeshError
-        if the arrays do not have the shape of a triangle mesh.
+        The arrays do not have the shape of a triangle mesh; the message calls it `name`.
     """
-    surface = Surface.whole(*mesh_arrays(vertices, faces, name))
-    n_vertices, n_faces = len(surface.vertices), len(surface.faces)
-    defects: list[Defect] = []
+    exam = Examination(Surface.whole(*mesh_arrays(vertices, faces, name)))
+    counts = len(exam.surface.vertices), len(exam.surface.faces)
     for check in _VALUE_CHECKS:
-        surface, found = check(surface)
-        defects += found
-        if _refuses(found):
-            return Diagnosis(n_vertices, n_faces, tuple(defects), None)
+        check(exam)
+        if exam.refused:
+            return Diagnosis(*counts, tuple(exam.defects), None)
     for check in _SURFACE_CHECKS:
-        surface, found = check(surface)
-        defects += found
-    if _refuses(defects):
-        components, _ = topology.connected_components(surface.faces, len(surface.vertices))
-        return Diagnosis(n_vertices, n_faces, tuple(defects), surface, components)
-    loops, _ = topology.edge_loops(topology.boundary_edges(surface.faces, len(surface.vertices)))
-    euler = (
-        len(surface.vertices)
-        - len(topology.edge_table(surface.faces, len(surface.vertices)).edges)
-        + len(surface.faces)
-    )
-    return Diagnosis(n_vertices, n_faces, tuple(defects), surface, 1, loops, euler, (2 - loops - euler) // 2)
+        check(exam)
+    surface, n = exam.surface, len(exam.surface.vertices)
+    if exam.refused:
+        components, _ = topology.connected_components(surface.faces, n)
+        return Diagnosis(*counts, tuple(exam.defects), surface, components)
+    loops, _ = topology.edge_loops(topology.boundary_edges(surface.faces, n))
+    euler = n - len(topology.edge_table(surface.faces, n).edges) + len(surface.faces)
+    return Diagnosis(*counts, tuple(exam.defects), surface, 1, loops, euler, (2 - loops - euler) // 2)
 
 
 def mesh_arrays(
@@ -100,83 +114,53 @@ def _rows_of_three(values: ArrayLike, what: str) -> NDArray[np.number]:
     return rows
 
 
-def _refuses(defects: list[Defect]) -> bool:
-    return any(defect.severity is Severity.REFUSED for defect in defects)
-
-
-def _defect(
-    surface: Surface,
-    kind: str,
-    count: int,
-    problem: str,
-    *,
-    vertices: NDArray[np.integer] | None = None,
-    faces: NDArray[np.integer] | None = None,
-    action: str = "",
-    advice: str = "",
-) -> Defect:
-    """Record a finding about numbers of `surface` under the numbers of the file.
-
-    What the program acts on is handled, what it can only advise on is refused, and the rest is fine.
-    """
-    severity = Severity.HANDLED if action else Severity.REFUSED if advice else Severity.FINE
-    vertex_numbers = () if vertices is None else tuple(surface.file_index[vertices[:SHOWN]].tolist())
-    face_numbers = () if faces is None else tuple(surface.face_index[faces[:SHOWN]].tolist())
-    return Defect(kind, severity, count, problem, vertex_numbers, face_numbers, action, advice)
-
-
-def _check_empty(surface: Surface) -> Checked:
+def _check_empty(exam: Examination) -> None:
     """Refuse point clouds and nothing at all."""
-    if not len(surface.vertices):
-        problem, advice = "the mesh has no vertices", "export it again with its surface"
-        return surface, [_defect(surface, "no-vertices", 1, problem, advice=advice)]
-    if not len(surface.faces):
-        problem = f"the mesh has {len(surface.vertices)} vertices but no faces"
-        advice = "a point cloud must be triangulated first"
-        return surface, [_defect(surface, "no-faces", 1, problem, advice=advice)]
-    return surface, []
+    count = len(exam.surface.vertices)
+    if not count:
+        exam.add("no-vertices", 1, "the mesh has no vertices", advice="export it again with its surface")
+    elif not len(exam.surface.faces):
+        problem = f"the mesh has {count} vertices but no faces"
+        exam.add("no-faces", 1, problem, advice="a point cloud must be triangulated first")
 
 
-def _check_range(surface: Surface) -> Checked:
+def _check_range(exam: Examination) -> None:
     """Refuse faces that name vertices which do not exist."""
-    n = len(surface.vertices)
-    outside = (surface.faces < 0) | (surface.faces >= n)
-    if not outside.any():
-        return surface, []
+    faces, n = exam.surface.faces, len(exam.surface.vertices)
+    outside = (faces < 0) | (faces >= n)
     bad = np.flatnonzero(outside.any(axis=1))
-    verb = _plural(len(bad), "face names", "faces name")
-    problem = f"{len(bad)} {verb} vertices outside 0 to {n - 1}, such as {surface.faces[outside][0]}"
-    advice = "check whether numbering is one-based or the vertex list cut short; without these faces, {repair}"
-    return surface, [_defect(surface, "index-out-of-range", len(bad), problem, faces=bad, advice=advice)]
+    if len(bad):
+        verb = _plural(len(bad), "face names", "faces name")
+        problem = f"{len(bad)} {verb} vertices outside 0 to {n - 1}, such as {faces[outside][0]}"
+        advice = "check whether numbering is one-based or the vertex list cut short; without these faces, {repair}"
+        exam.add("index-out-of-range", len(bad), problem, faces=bad, advice=advice)
 
 
-def _check_unreferenced(surface: Surface) -> Checked:
+def _check_unreferenced(exam: Examination) -> None:
     """Leave out vertices that no face uses: they have no area and would add a spurious eigenvalue each."""
-    used = np.zeros(len(surface.vertices), dtype=bool)
-    used[surface.faces.ravel()] = True
-    if used.all():
-        return surface, []
-    bad = np.flatnonzero(~used)
-    problem = f"{len(bad)} {_plural(len(bad), 'vertex is', 'vertices are')} in no face"
-    action = "left out, without a match (-1 in the maps)"
-    found = _defect(surface, "unreferenced-vertex", len(bad), problem, vertices=bad, action=action)
-    return surface.keep(np.ones(len(surface.faces), dtype=bool)), [found]
+    surface = exam.surface
+    bad = np.setdiff1d(np.arange(len(surface.vertices)), surface.faces)
+    if len(bad):
+        problem = f"{len(bad)} {_plural(len(bad), 'vertex is', 'vertices are')} in no face"
+        action = "left out, without a match (-1 in the maps)"
+        exam.add("unreferenced-vertex", len(bad), problem, vertices=bad, action=action)
+        exam.surface = surface.keep(np.ones(len(surface.faces), dtype=bool))
 
 
-def _check_finite(surface: Surface) -> Checked:
+def _check_finite(exam: Examination) -> None:
     """Refuse NaN and infinity on the surface."""
-    bad = np.flatnonzero(~np.isfinite(surface.vertices).all(axis=1))
-    if not len(bad):
-        return surface, []
-    problem = f"{len(bad)} {_plural(len(bad), 'vertex has', 'vertices have')} NaN or infinite coordinates"
-    advice = "export the mesh again; without the faces there, {repair}"
-    return surface, [_defect(surface, "non-finite", len(bad), problem, vertices=bad, advice=advice)]
+    bad = np.flatnonzero(~np.isfinite(exam.surface.vertices).all(axis=1))
+    if len(bad):
+        problem = f"{len(bad)} {_plural(len(bad), 'vertex has', 'vertices have')} NaN or infinite coordinates"
+        advice = "export the mesh again; without the faces there, {repair}"
+        exam.add("non-finite", len(bad), problem, vertices=bad, advice=advice)
 
 
-def _check_magnitude(surface: Surface) -> Checked:
+def _check_magnitude(exam: Examination) -> None:
     """Refuse coordinates whose squares leave the range of float64."""
-    size = np.abs(surface.vertices).max(axis=1)
-    length = float(np.ptp(surface.vertices / max(float(size.max()), 1e-300), axis=0).max()) * float(size.max())
+    vertices = exam.surface.vertices
+    size = np.abs(vertices).max(axis=1)
+    length = float(np.ptp(vertices / max(float(size.max()), 1e-300), axis=0).max()) * float(size.max())
     bad = np.flatnonzero(size > MAX_COORDINATE)
     if len(bad):
         problem = f"coordinates up to {size.max():.3g} are too large to compute with (at most {MAX_COORDINATE:.0e})"
@@ -184,56 +168,53 @@ def _check_magnitude(surface: Surface) -> Checked:
         bad = np.arange(1)
         problem = f"the whole mesh is only {length:.3g} long, too small to compute with"
     else:
-        return surface, []
+        return
     advice = "scale the coordinates, for example to a box of size 1, and export the mesh again"
-    return surface, [_defect(surface, "coordinate-range", len(bad), problem, vertices=bad, advice=advice)]
+    exam.add("coordinate-range", len(bad), problem, vertices=bad, advice=advice)
 
 
-def _check_repeated_corners(surface: Surface) -> Checked:
+def _check_repeated_corners(exam: Examination) -> None:
     """Leave out faces that are an edge or a point by their numbers; what they join stays joined without them."""
-    a, b, c = surface.faces.T
+    a, b, c = exam.surface.faces.T
     bad = (a == b) | (b == c) | (c == a)
-    return _without_faces(surface, bad, "repeated-corner", "names the same vertex twice", "name the same vertex twice")
+    _leave_out(exam, bad, "repeated-corner", "names the same vertex twice", "name the same vertex twice")
 
 
-def _check_duplicate_faces(surface: Surface) -> Checked:
+def _check_duplicate_faces(exam: Examination) -> None:
     """Leave out all but the first of the faces on the same three vertices."""
-    bad = topology.duplicate_faces(surface.faces)
-    return _without_faces(surface, bad, "duplicate-face", "repeats an earlier one", "repeat earlier ones")
+    bad = topology.duplicate_faces(exam.surface.faces)
+    _leave_out(exam, bad, "duplicate-face", "repeats an earlier one", "repeat earlier ones")
 
 
-def _without_faces(surface: Surface, bad: NDArray[np.bool_], kind: str, one: str, many: str) -> Checked:
+def _leave_out(exam: Examination, bad: NDArray[np.bool_], kind: str, one: str, many: str) -> None:
     """Leave out the marked faces, and say how many vertices that leaves alone."""
     if not bad.any():
-        return surface, []
+        return
     count = int(bad.sum())
-    kept = surface.keep(~bad)
-    lost = len(surface.vertices) - len(kept.vertices)
+    kept = exam.surface.keep(~bad)
+    lost = len(exam.surface.vertices) - len(kept.vertices)
     problem = f"{count} {_plural(count, 'face ' + one, 'faces ' + many)}"
     action = "left out" + (f", and {lost} vertices that no other face has get no match (-1)" if lost else "")
-    return kept, [_defect(surface, kind, count, problem, faces=np.flatnonzero(bad), action=action)]
+    exam.add(kind, count, problem, faces=np.flatnonzero(bad), action=action)
+    exam.surface = kept
 
 
-def _check_area(surface: Surface) -> Checked:
+def _check_area(exam: Examination) -> None:
     """Tolerate flat faces, but not a vertex without area: it would have no mass."""
-    bare, flat = bare_vertices(surface)
-    if not flat.any():
-        return surface, []
-    bad = np.flatnonzero(flat)
+    bare, flat = bare_vertices(exam.surface)
+    alone, bad = np.flatnonzero(bare), np.flatnonzero(flat)
+    if not len(bad):
+        return
     if flat.all():
         problem = "all faces have zero area: the vertices lie on a line or at a point"
-        advice = "export the mesh again with more digits"
-        return surface, [_defect(surface, "no-area", len(bad), problem, faces=bad, advice=advice)]
-    if bare.any():
-        alone = np.flatnonzero(bare)
-        verb = _plural(len(alone), "vertex has", "vertices have")
-        problem = f"{len(alone)} {verb} only zero-area faces around"
-        return surface, [
-            _defect(surface, "no-area-vertex", len(alone), problem, vertices=alone, faces=bad, advice="{repair}")
-        ]
-    problem = f"{len(bad)} {_plural(len(bad), 'face has', 'faces have')} zero area"
-    action = "kept, since the surface would have holes without them; cotangents are bounded there"
-    return surface, [_defect(surface, "zero-area-face", len(bad), problem, faces=bad, action=action)]
+        exam.add("no-area", len(bad), problem, faces=bad, advice="export the mesh again with more digits")
+    elif len(alone):
+        problem = f"{len(alone)} {_plural(len(alone), 'vertex has', 'vertices have')} only zero-area faces around"
+        exam.add("no-area-vertex", len(alone), problem, vertices=alone, faces=bad, advice="{repair}")
+    else:
+        problem = f"{len(bad)} {_plural(len(bad), 'face has', 'faces have')} zero area"
+        action = "kept, since the surface would have holes without them; cotangents are bounded there"
+        exam.add("zero-area-face", len(bad), problem, faces=bad, action=action)
 
 
 def bare_vertices(surface: Surface) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -246,11 +227,12 @@ def bare_vertices(surface: Surface) -> tuple[NDArray[np.bool_], NDArray[np.bool_
     return around <= NO_AREA * around.mean(), flat
 
 
-def _check_components(surface: Surface) -> Checked:
+def _check_components(exam: Examination) -> None:
     """Keep one component: distances and eigenfunctions mean nothing across a gap."""
+    surface = exam.surface
     count, component, areas = components_by_area(surface)
     if count == 1:
-        return surface, []
+        return
     largest = int(np.argmax(areas))
     share = float(areas[largest] / areas.sum())
     vertex_component = np.zeros(len(surface.vertices), dtype=np.int64)
@@ -260,13 +242,13 @@ def _check_components(surface: Surface) -> Checked:
     problem = f"the mesh has {count} separate pieces, the largest with {100 * share:.4g} % of the area"
     if 1 - share < SMALL_COMPONENTS:
         action = f"the largest is kept; {len(others)} vertices are left out, without a match (-1 in the maps)"
-        return surface.keep(component == largest), [
-            _defect(surface, "small-components", count, problem, vertices=samples, action=action)
-        ]
+        exam.add("small-components", count, problem, vertices=samples, action=action)
+        exam.surface = surface.keep(component == largest)
+        return
     advice = "with the largest piece alone, {repair}"
     if len(topology.merge_positions(surface.vertices)[0]) < len(surface.vertices):
         advice += "; add `--merge` to join vertices at equal positions first"
-    return surface, [_defect(surface, "components", count, problem, vertices=samples, advice=advice)]
+    exam.add("components", count, problem, vertices=samples, advice=advice)
 
 
 def components_by_area(surface: Surface) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
@@ -277,97 +259,80 @@ def components_by_area(surface: Surface) -> tuple[int, NDArray[np.int64], NDArra
     return count, component, np.bincount(component, weights=areas, minlength=count).astype(np.float64)
 
 
-def _check_size(surface: Surface) -> Checked:
+def _check_size(exam: Examination) -> None:
     """Refuse surfaces too small to have a spectrum."""
-    n = len(surface.vertices)
-    if n >= MIN_VERTICES:
-        return surface, []
-    problem = f"the surface has only {n} vertices; at least {MIN_VERTICES} are needed"
-    return surface, [_defect(surface, "too-few-vertices", n, problem, advice="subdivide the mesh")]
+    n = len(exam.surface.vertices)
+    if n < MIN_VERTICES:
+        problem = f"the surface has only {n} vertices; at least {MIN_VERTICES} are needed"
+        exam.add("too-few-vertices", n, problem, advice="subdivide the mesh")
 
 
-def _check_manifold(surface: Surface) -> Checked:
+def _check_manifold(exam: Examination) -> None:
     """Refuse edges with more than two faces, and vertices where sheets touch in a point."""
-    table = topology.edge_table(surface.faces, len(surface.vertices))
-    found = []
+    all_faces, n = exam.surface.faces, len(exam.surface.vertices)
+    table = topology.edge_table(all_faces, n)
     crowded = table.face_count > 2
     ends = table.edges[crowded]
-    if len(ends):
-        problem = f"{len(ends)} {_plural(len(ends), 'edge belongs', 'edges belong')} to more than two faces"
-        faces = np.unique(np.flatnonzero(crowded[table.edge_of_half_edge]) % len(surface.faces))
-        found.append(
-            _defect(
-                surface,
-                "non-manifold-edge",
-                len(ends),
-                problem,
-                vertices=np.unique(ends),
-                faces=faces,
-                advice="{repair}",
-            )
-        )
-    fans = topology.fan_counts(surface.faces, table, len(surface.vertices))
+    count = len(ends)
+    if count:
+        problem = f"{count} {_plural(count, 'edge belongs', 'edges belong')} to more than two faces"
+        faces = np.unique(np.flatnonzero(crowded[table.edge_of_half_edge]) % len(all_faces))
+        exam.add("non-manifold-edge", count, problem, vertices=np.unique(ends), faces=faces, advice="{repair}")
+    fans = topology.fan_counts(all_faces, table, n)
     # At the ends of a crowded edge the sheets fall apart in any case; only the edge is the finding there.
     fans[ends.ravel()] = 1
     bad = np.flatnonzero(fans > 1)
     if len(bad):
         problem = f"at {len(bad)} {_plural(len(bad), 'vertex', 'vertices')} several sheets touch in a point only"
-        found.append(_defect(surface, "non-manifold-vertex", len(bad), problem, vertices=bad, advice="{repair}"))
-    return surface, found
+        exam.add("non-manifold-vertex", len(bad), problem, vertices=bad, advice="{repair}")
 
 
-def _check_orientation(surface: Surface) -> Checked:
+def _check_orientation(exam: Examination) -> None:
     """Flip the minority of faces so that neighbours agree; refuse one-sided surfaces."""
-    table = topology.edge_table(surface.faces, len(surface.vertices))
-    flip, twisted = topology.coherent_orientation(surface.faces, table, *topology.paired_half_edges(table))
-    found = []
-    if twisted.any():
-        bad = np.flatnonzero(twisted)
+    faces = exam.surface.faces
+    table = topology.edge_table(faces, len(exam.surface.vertices))
+    flip, twisted = topology.coherent_orientation(faces, table, *topology.paired_half_edges(table))
+    bad, turned = np.flatnonzero(twisted), np.flatnonzero(flip)
+    if len(bad):
         problem = f"the surface has only one side, like a Möbius strip or a Klein bottle ({len(bad)} faces)"
-        advice = "cut open along a seam, {repair}"
-        found.append(_defect(surface, "non-orientable", len(bad), problem, faces=bad, advice=advice))
-    if flip.any():
-        bad = np.flatnonzero(flip)
-        problem = f"{len(bad)} {_plural(len(bad), 'face is', 'faces are')} turned against the others"
-        found.append(_defect(surface, "orientation", len(bad), problem, faces=bad, action="turned round"))
-        surface = replace(surface, faces=topology.flipped(surface.faces, flip))
-    return surface, found
+        exam.add("non-orientable", len(bad), problem, faces=bad, advice="cut open along a seam, {repair}")
+    if len(turned):
+        problem = f"{len(turned)} {_plural(len(turned), 'face is', 'faces are')} turned against the others"
+        exam.add("orientation", len(turned), problem, faces=turned, action="turned round")
+        exam.surface = replace(exam.surface, faces=topology.flipped(faces, flip))
 
 
-def _check_boundary(surface: Surface) -> Checked:
+def _check_boundary(exam: Examination) -> None:
     """Mention boundaries, which are fine, and seams that look like boundaries but were meant to be closed."""
-    edges = topology.boundary_edges(surface.faces, len(surface.vertices))
+    vertices = exam.surface.vertices
+    edges = topology.boundary_edges(exam.surface.faces, len(vertices))
     if not len(edges):
-        return surface, []
+        return
     rim = np.unique(edges)
     loops, _ = topology.edge_loops(edges)
     problem = f"the surface has {loops} {_plural(loops, 'boundary', 'boundaries')} with {len(edges)} edges"
-    found = [_defect(surface, "boundary", loops, problem, vertices=rim)]
-    first, merged = topology.merge_positions(surface.vertices[rim])
+    exam.add("boundary", loops, problem, vertices=rim)
+    first, merged = topology.merge_positions(vertices[rim])
     shared = rim[np.bincount(merged, minlength=len(first))[merged] > 1]
     if len(shared):
         problem = f"{len(shared)} boundary vertices lie exactly on another one, as if the surface was cut along a seam"
         advice = "if the surface should be closed there, {repair} (add `--merge`)"
-        found.append(
-            _defect(surface, "open-seam", len(shared), problem, vertices=shared, action="kept apart", advice=advice)
-        )
-    return surface, found
+        exam.add("open-seam", len(shared), problem, vertices=shared, action="kept apart", advice=advice)
 
 
-def _check_outward(surface: Surface) -> Checked:
+def _check_outward(exam: Examination) -> None:
     """Flip a body that is inside out: the orientation is what tells a shape from its mirror image."""
-    if topology.outward_sign(surface.vertices, surface.faces) >= 0:
-        return surface, []
-    found = _defect(surface, "inside-out", 1, "all faces point inward", action="turned outward")
-    everything = np.ones(len(surface.faces), dtype=bool)
-    return replace(surface, faces=topology.flipped(surface.faces, everything)), [found]
+    faces = exam.surface.faces
+    if topology.outward_sign(exam.surface.vertices, faces) < 0:
+        exam.add("inside-out", 1, "all faces point inward", action="turned outward")
+        exam.surface = replace(exam.surface, faces=topology.flipped(faces, np.ones(len(faces), dtype=bool)))
 
 
 def _plural(count: int, one: str, many: str) -> str:
     return one if count == 1 else many
 
 
-_VALUE_CHECKS: tuple[Callable[[Surface], Checked], ...] = (
+_VALUE_CHECKS = (
     _check_empty,
     _check_range,
     _check_unreferenced,
@@ -378,7 +343,7 @@ _VALUE_CHECKS: tuple[Callable[[Surface], Checked], ...] = (
     _check_empty,
     _check_area,
 )
-_SURFACE_CHECKS: tuple[Callable[[Surface], Checked], ...] = (
+_SURFACE_CHECKS = (
     _check_components,
     _check_size,
     _check_manifold,

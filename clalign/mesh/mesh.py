@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from clalign.errors import MeshError
 from clalign.mesh.checks import diagnose
 from clalign.mesh.defects import Diagnosis
-from clalign.mesh.reading import FileMesh, read_mesh_file
+from clalign.mesh.reading import read_mesh_file
 from clalign.mesh.topology import boxed, face_areas
 
 log = logging.getLogger(__name__)
@@ -96,21 +96,13 @@ class Mesh:
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     """Read an OFF, PLY, OBJ or STL file, keeping the file's vertex numbers.
 
-    Parameters
-    ----------
-    path : str or path-like
-
-    Returns
-    -------
-    Mesh
-        with `file_index` leading back to the file's numbers and `notes` saying what was put right.
-
     Raises
     ------
     MeshError
         if the file cannot be read, or has a defect that the method cannot work with.
     """
-    return _mesh_from_file(read_mesh_file(path), Path(path))
+    raw, path = read_mesh_file(path), Path(path)
+    return _mesh_from_diagnosis(diagnose(raw.vertices, raw.faces, str(path)), path.stem, str(path), raw.notes)
 
 
 def mesh_from_arrays(
@@ -120,25 +112,17 @@ def mesh_from_arrays(
 
     Parameters
     ----------
-    vertices : (n, 3) float
-        positions, in any unit.
-    faces : (m, 3) int
-        vertex numbers, counted from 0.
-    name : str
-    path : str or path-like, optional
-        where the arrays came from; only used in messages.
-
-    Returns
-    -------
-    Mesh
+    vertices : (n, 3) float, positions in any unit.
+    faces : (m, 3) int, vertex numbers counted from 0.
+    name, path : what the mesh is called, and where the arrays came from, in messages.
 
     Raises
     ------
     MeshError
         if there is a defect that the method cannot work with.
     """
-    diagnosis = diagnose(vertices, faces, name if path is None else os.fspath(path))
-    return _mesh_from_diagnosis(diagnosis, name, None if path is None else os.fspath(path), ())
+    file = None if path is None else os.fspath(path)
+    return _mesh_from_diagnosis(diagnose(vertices, faces, file or name), name, file, ())
 
 
 def as_mesh(thing: Any, name: str = "mesh") -> Mesh:
@@ -169,11 +153,6 @@ def as_mesh(thing: Any, name: str = "mesh") -> Mesh:
     )
 
 
-def _mesh_from_file(raw: FileMesh, path: Path) -> Mesh:
-    """Check and scale what was read from `path`."""
-    return _mesh_from_diagnosis(diagnose(raw.vertices, raw.faces, str(path)), path.stem, str(path), raw.notes)
-
-
 def _mesh_from_diagnosis(diagnosis: Diagnosis, name: str, path: str | None, notes: tuple[str, ...]) -> Mesh:
     """Refuse with the reasons, or scale the surface that the diagnosis left."""
     surface = diagnosis.usable_surface(name, path)
@@ -199,17 +178,9 @@ def unit_area(
 ) -> tuple[NDArray[np.float64], float, NDArray[np.float64]]:
     """Move the area centroid of a surface with positive area to the origin and scale its area to 1.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float
-    faces : (m, 3) int
-
     Returns
     -------
-    scaled : (n, 3) float
-    scale : float
-    offset : (3,) float
-        `vertices == scaled * scale + offset` up to rounding.
+    scaled, scale, offset : (n, 3), float and (3,); `vertices == scaled * scale + offset` up to rounding.
     """
     inside, middle, extent = boxed(vertices)
     areas = face_areas(inside, faces)

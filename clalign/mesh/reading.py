@@ -45,14 +45,6 @@ class _FormatError(Exception):
 def read_mesh_file(path: str | os.PathLike[str]) -> FileMesh:
     """Read the vertices and triangles of an OFF, PLY, OBJ or STL file without checking the surface.
 
-    Parameters
-    ----------
-    path : str or path-like
-
-    Returns
-    -------
-    FileMesh
-
     Raises
     ------
     MeshError
@@ -193,8 +185,7 @@ def _read_ply(content: bytes) -> FileMesh:
     from trimesh.exchange.ply import load_ply
 
     loaded = _quietly(load_ply, plain_header + body, fix_texture=False, skip_materials=True)
-    vertices = _loaded_vertices(loaded)
-    faces = _loaded_faces(loaded)
+    vertices, faces = _loaded_vertices(loaded), _loaded_faces(loaded)
     if len(vertices) != n_vertices or len(faces) < n_faces:
         raise _FormatError(
             f"{promise}, but {len(vertices)} vertices and {len(faces)} triangles could be read; the file is truncated, "
@@ -213,7 +204,8 @@ def _check_ply_rows(header: bytes, rows: list[bytes]) -> None:
         properties = re.findall(rb"^\s*property\s+(list\b)?", element, re.MULTILINE)
         if name == b"vertex" and not any(properties):
             for number, row in enumerate(of_element):
-                _check_numbers(row.split(), number, len(properties))
+                if not _holds_numbers(row.split(), len(properties)):
+                    raise _misgiven(number, row.split(), str(len(properties)))
             _same_width([row.split() for row in of_element])
         if name == b"face" and properties[:1] == [b"list"]:
             for number, row in enumerate(of_element):
@@ -221,16 +213,18 @@ def _check_ply_rows(header: bytes, rows: list[bytes]) -> None:
                     _integer(word, "face", number)
 
 
-def _check_numbers(words: list[bytes], number: int, wanted: int) -> None:
+def _holds_numbers(words: list[bytes], wanted: int) -> bool:
     try:
-        complete = len([float(word) for word in words]) >= wanted
+        return len([float(word) for word in words]) >= wanted
     except ValueError:
-        complete = False
-    if not complete:
-        raise _FormatError(
-            f"vertex {number} is given as {_shown(b' '.join(words))}: expected {wanted} numbers; "
-            "mend that line, or export the mesh again"
-        )
+        return False
+
+
+def _misgiven(number: int, words: list[bytes], wanted: str) -> _FormatError:
+    return _FormatError(
+        f"vertex {number} is given as {_shown(b' '.join(words))}: expected {wanted} numbers; "
+        "mend that line, or export the mesh again"
+    )
 
 
 def _read_stl(content: bytes) -> FileMesh:
@@ -248,8 +242,7 @@ def _read_stl(content: bytes) -> FileMesh:
                 "suffix; export it again"
             )
     loaded = _quietly(load_stl, content)
-    corners = _loaded_vertices(loaded)
-    faces = _loaded_faces(loaded)
+    corners, faces = _loaded_vertices(loaded), _loaded_faces(loaded)
     if not len(faces):
         raise _FormatError("has no facets, or is no STL file; is the suffix right? Otherwise export it again")
     first, vertex_of_corner = merge_positions(corners)
@@ -293,15 +286,8 @@ def _positions(rows: list[list[bytes]]) -> NDArray[np.float64]:
     except ValueError:
         pass
     for number, row in enumerate(rows):
-        try:
-            complete = len([float(word) for word in row]) == 3
-        except ValueError:
-            complete = False
-        if not complete:
-            raise _FormatError(
-                f"vertex {number} is given as {_shown(b' '.join(row))}: expected three numbers; "
-                "mend that line, or export the mesh again"
-            )
+        if not _holds_numbers(row, 3):
+            raise _misgiven(number, row, "three")
     raise _FormatError("its vertex positions are not numbers; export it again")
 
 

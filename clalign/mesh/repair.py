@@ -45,18 +45,9 @@ class Repaired:
 
 
 def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False) -> Repaired:
-    """Drop, cut and flip whatever keeps a mesh from being one oriented surface.
+    """Drop, cut and flip whatever keeps a mesh, (n, 3) and (m, 3), from being one oriented surface.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float
-    faces : (m, 3) int
-    merge : bool
-        first join vertices at exactly equal positions.
-
-    Returns
-    -------
-    Repaired
+    merge : first join vertices at exactly equal positions.
 
     Raises
     ------

@@ -94,10 +94,8 @@ def vertex_normals(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArr
     """(n, 3) area-weighted unit normals; zero where a vertex has no area."""
     normals = face_normals(vertices, faces)
     flat = np.asarray(faces).ravel()
-    summed = np.stack(
-        [np.bincount(flat, weights=np.repeat(normals[:, axis], 3), minlength=len(vertices)) for axis in range(3)],
-        axis=1,
-    )
+    around = [np.bincount(flat, weights=np.repeat(column, 3), minlength=len(vertices)) for column in normals.T]
+    summed = np.stack(around, axis=1)
     length = np.linalg.norm(summed, axis=1, keepdims=True)
     return np.divide(summed, length, out=np.zeros(summed.shape), where=length > 0)
 
@@ -121,8 +119,7 @@ def corner_fans(faces: NDArray[np.integer], one: IntArray, other: IntArray) -> t
     Parameters
     ----------
     faces : (m, 3) int
-    one, other : (p,) int
-        half-edges glued to each other (see `EdgeTable`).
+    one, other : (p,) int, half-edges glued to each other (see `EdgeTable`).
 
     Returns
     -------
@@ -158,16 +155,12 @@ def coherent_orientation(
 
     Parameters
     ----------
-    faces : (m, 3) int
-    table : EdgeTable
-        of the faces.
-    one, other : (p,) int
-        half-edges glued to each other.
+    faces, table : (m, 3) int, and their edges.
+    one, other : (p,) int, half-edges glued to each other.
 
     Returns
     -------
-    flip, twisted : (m,) bool each
-        faces to reverse, and faces of patches that have no orientation.
+    flip, twisted : (m,) bool each; faces to reverse, and faces of patches that have no orientation.
     """
     n_faces = len(faces)
     a, b = one % n_faces, other % n_faces
@@ -191,18 +184,12 @@ def signed_volume(vertices: FloatArray, faces: NDArray[np.integer]) -> float:
 
 
 def merge_positions(points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Find points with bitwise equal positions (0.0 and -0.0 count as equal).
-
-    Parameters
-    ----------
-    points : (n, 3) float
+    """Find points (n, 3) with bitwise equal positions (0.0 and -0.0 count as equal).
 
     Returns
     -------
-    first : (u,) int
-        the first point at every position, ascending.
-    merged : (n,) int
-        for every point, which of the u positions it lies at.
+    first : (u,) int, the first point at every position, ascending.
+    merged : (n,) int, for every point, which of the u positions it lies at.
     """
     key = np.zeros(len(points), dtype=np.int64)
     for axis in range(points.shape[1]):
@@ -265,10 +252,8 @@ def boxed(vertices: FloatArray) -> tuple[FloatArray, FloatArray, float]:
 
     Returns
     -------
-    inside : (n, 3) float
-    middle : (3,) float
-    extent : float
-        `vertices == inside * extent + middle` up to rounding; half the longest side of the box.
+    inside, middle, extent : (n, 3), (3,) and float, half the longest side of the box.
+        `vertices == inside * extent + middle` up to rounding.
     """
     middle = 0.5 * vertices.min(axis=0) + 0.5 * vertices.max(axis=0)
     extent = float(np.abs(vertices - middle).max())

@@ -22,12 +22,9 @@ def save_mesh(
 
     Parameters
     ----------
-    path : str or path-like
-        with suffix `.ply` (binary, float64), `.off` or `.obj`.
-    vertices : (n, 3) float
-    faces : (m, 3) int
-    colours : (n, 3) or (n, 4), optional
-        uint8, or float from 0 to 1.
+    path : with suffix `.ply` (binary, float64), `.off` or `.obj`.
+    vertices, faces : (n, 3) float and (m, 3) int.
+    colours : (n, 3) or (n, 4), uint8 or float from 0 to 1.
 
     Raises
     ------
@@ -36,10 +33,11 @@ def save_mesh(
     """
     path = Path(path)
     require_format(path)
-    writer = _WRITERS[path.suffix.lower()]
     points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
     triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
-    content = writer(points, triangles, None if colours is None else _colour_bytes(colours, len(points), path))
+    content = _WRITERS[path.suffix.lower()](
+        points, triangles, None if colours is None else _colour_bytes(colours, len(points), path)
+    )
     try:
         with replaced_file(path) as stream:
             stream.write(content)

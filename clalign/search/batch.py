@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clalign.engine.backend import Backend
 from clalign.engine.reference import DistortionKind
-from clalign.geometry.geodesics import prefix_shares
+from clalign.geometry.heat import prefix_shares
 from clalign.geometry.shape import Shape
 from clalign.maps.orientation import orientation_scores
 from clalign.maps.zoomout import zoomout

@@ -20,19 +20,12 @@ RAMPS = {"signed": _DIVERGING, "amount": _SEQUENTIAL}
 
 
 def position_colours(vertices: NDArray[np.floating], view: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a colour for every vertex that changes smoothly with its place in space.
+    """Return (n, 3) sRGB colours in [0, 1] of vertices (n, 3) that change smoothly with their place in space.
 
     Hue runs along the height and a little across, lightness tells left from right, chroma front from back, so that a
     mirrored or rotated map shows at once.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float.
     view : (3, 3) float64, rotation to viewing axes.
-
-    Returns
-    -------
-    (n, 3) float64 in [0, 1], sRGB.
     """
     points = np.asarray(vertices, dtype=np.float64) @ view.T
     low = points.min(axis=0)

@@ -38,13 +38,7 @@ class SurfaceMap:
     def pull(self, values: NDArray[np.floating]) -> NDArray[np.float64]:
         """Carry values from the other shape to this one, interpolated in faces where the map is known that finely.
 
-        Parameters
-        ----------
-        values : (n_other,) or (n_other, c) float.
-
-        Returns
-        -------
-        (n,) or (n, c) float64; rows without a match are zero (see `matched`).
+        Values (n_other,) or (n_other, c) become (n,) or (n, c) float64; rows without a match are zero (see `matched`).
         """
         values = np.asarray(values, dtype=np.float64)
         pulled = np.einsum("nc,nc...->n...", self.weights, values[np.maximum(self.corners, 0)])
@@ -55,15 +49,20 @@ class SurfaceMap:
 def surface_map(correspondence: Correspondence, direction: Direction = "to_source") -> SurfaceMap:
     """Return the map that carries values of the target "to_source", or of the source "to_target".
 
-    Parameters
-    ----------
-    correspondence : the match.
-    direction : "to_source" pulls functions on the target back through `target_of_source`; "to_target" pulls functions
-        on the source back through `source_of_target`.
+    "to_source" pulls functions on the target back through `target_of_source`, where known within faces; "to_target"
+    pulls functions on the source back through `source_of_target`.
     """
-    if direction == "to_source":
-        return _finest_map(correspondence)
-    return vertex_map(correspondence.source_of_target, correspondence.target, correspondence.source)
+    source, target = correspondence.source, correspondence.target
+    if direction == "to_target":
+        return vertex_map(correspondence.source_of_target, target, source)
+    coarse = vertex_map(correspondence.target_of_source, source, target)
+    if correspondence.source_faces is None or correspondence.source_barycentric is None:
+        return coarse
+    faces = source.from_file(correspondence.source_faces)
+    weights = source.from_file(correspondence.source_barycentric)
+    known = (faces >= 0) & coarse.matched
+    corners = np.where(known[:, None], target.faces[np.maximum(faces, 0)], coarse.corners)
+    return SurfaceMap(coarse.vertex, corners, np.where(known[:, None], weights, coarse.weights))
 
 
 def vertex_map(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> SurfaceMap:
@@ -78,32 +77,17 @@ def vertex_map(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> Surfac
     ResultError
         The map's length or an index does not fit the two files.
     """
-    chosen = _from_files(np.asarray(file_map), here, there)
-    corners = np.repeat(chosen[:, None], 3, axis=1)
-    return SurfaceMap(chosen, corners, np.tile([1.0, 0.0, 0.0], (len(chosen), 1)))
-
-
-def _from_files(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> NDArray[np.int64]:
+    file_map = np.asarray(file_map)
     if file_map.shape != (here.file_count,):
         raise ResultError(
             f"the map has shape {file_map.shape}, but {here.name} has {here.file_count} vertices in its file"
         )
-    if file_map.size and (file_map.min() < -1 or file_map.max() >= there.file_count):
-        wrong = int(np.flatnonzero((file_map < -1) | (file_map >= there.file_count))[0])
+    outside = np.flatnonzero((file_map < -1) | (file_map >= there.file_count))
+    if outside.size:
         raise ResultError(
-            f"vertex {wrong} of {here.name} is mapped to {int(file_map[wrong])}, but {there.name} has vertices 0 to "
-            f"{there.file_count - 1}; maps are zero-based here"
+            f"vertex {outside[0]} of {here.name} is mapped to {file_map[outside[0]]}, but {there.name} has vertices 0 "
+            f"to {there.file_count - 1}; maps are zero-based here"
         )
-    return here.map_from_file(there, file_map)
-
-
-def _finest_map(correspondence: Correspondence) -> SurfaceMap:
-    source, target = correspondence.source, correspondence.target
-    coarse = vertex_map(correspondence.target_of_source, source, target)
-    if correspondence.source_faces is None or correspondence.source_barycentric is None:
-        return coarse
-    faces = source.from_file(correspondence.source_faces)
-    weights = source.from_file(correspondence.source_barycentric)
-    known = (faces >= 0) & coarse.matched
-    corners = np.where(known[:, None], target.faces[np.maximum(faces, 0)], coarse.corners)
-    return SurfaceMap(coarse.vertex, corners, np.where(known[:, None], weights, coarse.weights))
+    chosen = here.map_from_file(there, file_map)
+    corners = np.repeat(chosen[:, None], 3, axis=1)
+    return SurfaceMap(chosen, corners, np.tile([1.0, 0.0, 0.0], (len(chosen), 1)))

@@ -77,14 +77,7 @@ def read_texture(path: str | Path) -> Texture:
 
 
 def write_textured_obj(path: str | Path, vertices: NDArray[np.float64], texture: Texture) -> None:
-    """Write an OBJ file with texture coordinates of corners.
-
-    Parameters
-    ----------
-    path : the file.
-    vertices : (n, 3) positions in file numbering.
-    texture : coordinates, corners and faces; its material lines come first.
-    """
+    """Write an OBJ file of positions (n, 3) in file numbering with texture coordinates of corners."""
     lines = list(texture.materials)
     lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     lines += [f"vt {u:.7g} {v:.7g}" for u, v in texture.coordinates.tolist()]
@@ -94,20 +87,12 @@ def write_textured_obj(path: str | Path, vertices: NDArray[np.float64], texture:
 
 
 def carry_texture(correspondence: Correspondence, texture: Texture, *, origin: Side = "source") -> Texture:
-    """Give the corners of the other shape's triangles the texture coordinates of their matches.
+    """Give the corners of the other shape's triangles the texture coordinates of their matches, and return that.
 
     Where a match lies on a seam it has several coordinates: each triangle takes those that keep it smallest in the
     texture, so that only triangles whose corners really fall into different charts are torn.
 
-    Parameters
-    ----------
-    correspondence : the match.
     texture : of the origin, in the numbering of its file.
-    origin : the shape that the texture belongs to.
-
-    Returns
-    -------
-    Texture of the other shape.
 
     Raises
     ------

@@ -49,7 +49,6 @@ def carry_values(
 
     Parameters
     ----------
-    correspondence : the match.
     values : (vertices in the origin's file,) or (…, c) float.
     origin : the shape that the values belong to.
     route : "points" gives each vertex the value at its match (interpolated inside a face where the match has
@@ -80,13 +79,7 @@ def carry_values(
 def carry_labels(correspondence: Correspondence, labels: ArrayLike, *, origin: Side = "source") -> NDArray[np.int64]:
     """Give each vertex of the other shape the label of the vertex that it is matched with.
 
-    Parameters
-    ----------
-    labels : (vertices in the origin's file,) integers.
-
-    Returns
-    -------
-    (vertices in the other file,) int64; -1 where there is no match.
+    Labels (vertices in the origin's file,) become (vertices in the other file,) int64, -1 where there is no match.
 
     Raises
     ------
@@ -107,15 +100,7 @@ def carry_labels(correspondence: Correspondence, labels: ArrayLike, *, origin: S
 def carry_landmarks(
     correspondence: Correspondence, landmarks: ArrayLike, *, origin: Side = "source"
 ) -> NDArray[np.int64]:
-    """Return the matches of chosen vertices.
-
-    Parameters
-    ----------
-    landmarks : (p,) vertex numbers in the origin's file, from 0.
-
-    Returns
-    -------
-    (p,) int64, vertex numbers in the other file; -1 where there is no match.
+    """Return the matches of chosen vertices (p,), numbered from 0 as in the files; -1 where there is no match.
 
     Raises
     ------

@@ -80,10 +80,12 @@ def test_a_missing_loader_says_what_to_install(monkeypatch):
         list_devices()
 
 
-def test_the_option_goes_before_the_environment():
-    assert wanted_device("cpu", {"CLALIGN_DEVICE": "gpu"}) == "cpu"
-    assert wanted_device("", {"CLALIGN_DEVICE": " gpu "}) == "gpu"
-    assert wanted_device("", {}) == ""
+def test_the_option_goes_before_the_environment(monkeypatch):
+    monkeypatch.setenv("CLALIGN_DEVICE", " gpu ")
+    assert wanted_device("cpu") == "cpu"
+    assert wanted_device("") == "gpu"
+    monkeypatch.delenv("CLALIGN_DEVICE")
+    assert wanted_device("") == ""
 
 
 def test_the_environment_reaches_the_device(monkeypatch):

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from clalign.errors import MeshError
 from clalign.geometry import geodesics
-from clalign.geometry.geodesics import Geodesics, all_pairs, farthest_point_geodesics, low_rank
+from clalign.geometry.geodesics import all_pairs, farthest_point_geodesics, low_rank
+from clalign.geometry.heat import Geodesics
 from clalign.geometry.operators import lumped_mass
 from clalign.mesh.mesh import Mesh
 

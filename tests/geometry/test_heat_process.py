@@ -21,9 +21,9 @@ from skips import posix
 from waiting import wait_until
 
 from clalign.errors import MemoryBudgetError, MeshError
-from clalign.geometry import heat_process, heat_server, shape
+from clalign.geometry import heat, heat_process, shape
 from clalign.geometry.geodesics import farthest_point_geodesics
-from clalign.geometry.heat import FarthestPoints, HeatMethod, Surface, farthest_points
+from clalign.geometry.heat import Geodesics, HeatMethod, Surface, farthest_points
 from clalign.geometry.heat_process import HeatProcess
 from clalign.geometry.operators import lumped_mass
 from clalign.mesh.mesh import Mesh
@@ -52,14 +52,14 @@ def always(monkeypatch: pytest.MonkeyPatch) -> None:
 def not_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fail where the work is done in this interpreter."""
 
-    def refuse(*_: object) -> FarthestPoints:
+    def refuse(*_: object) -> Geodesics:
         raise AssertionError("computed in this interpreter")
 
     monkeypatch.setattr(heat_process, "farthest_points", refuse)
 
 
-def assert_same(found: FarthestPoints, expected: FarthestPoints) -> None:
-    for name in ("samples", "between", "rows", "areas"):
+def assert_same(found: Geodesics, expected: Geodesics) -> None:
+    for name in ("samples", "distances", "rows", "weights"):
         one, other = getattr(found, name), getattr(expected, name)
         assert one.dtype == other.dtype
         np.testing.assert_array_equal(one, other)
@@ -70,15 +70,12 @@ def gone(process: int) -> bool:
 
 
 @pytest.mark.usefixtures("not_here")
-def test_the_same_bit_for_bit_from_one_process_for_all_meshes(bumpy: Surface) -> None:
-    torus = surface(analytic.as_unit_mesh(analytic.torus(30, 15, 0.4), "torus"))
-    with HeatProcess() as heat:
-        assert_same(heat.farthest_points(bumpy, 5, 60, 20), farthest_points(bumpy, 5, 60, 20))
-        assert heat._process is not None
-        first = heat._process.pid
-        assert_same(heat.farthest_points(torus, 0, 40, 40), farthest_points(torus, 0, 40, 40))
-        assert heat._process.pid == first != os.getpid()
-    assert gone(first)
+def test_the_same_bit_for_bit(bumpy: Surface) -> None:
+    process = HeatProcess()
+    assert_same(process.farthest_points(bumpy, 60, 20), farthest_points(bumpy, 60, 20))
+    assert process._process is not None
+    assert process._process.pid != os.getpid()
+    assert gone(process._process.pid)
 
 
 def test_preparation_is_the_same_bit_for_bit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,22 +101,19 @@ def test_preparation_is_the_same_bit_for_bit(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_small_meshes_need_no_process(bumpy: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(heat_process, "WORTH_A_PROCESS", 10 * len(bumpy.vertices) + 1)
-    with HeatProcess() as heat:
-        heat.farthest_points(bumpy, 5, 10, 5)
-        assert heat._process is None
+    process = HeatProcess()
+    process.farthest_points(bumpy, 10, 5)
+    assert process._process is None
 
 
 @pytest.mark.usefixtures("not_here")
 def test_what_the_heat_method_refuses_has_the_same_message(bumpy: Surface, capfd: pytest.CaptureFixture[str]) -> None:
     broken = dataclasses.replace(bumpy, vertices=np.full_like(bumpy.vertices, np.nan), name="Ünruhe")
     with pytest.raises(MeshError) as here:
-        farthest_points(broken, 0, 3, 2)
+        farthest_points(broken, 3, 2)
     capfd.readouterr()
-    with HeatProcess() as heat:
-        with pytest.raises(MeshError) as there:
-            heat.farthest_points(broken, 0, 3, 2)
-        # It goes on with the next mesh.
-        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+    with pytest.raises(MeshError) as there:
+        HeatProcess().farthest_points(broken, 3, 2)
     assert str(there.value) == str(here.value)
     assert "Ünruhe" in str(here.value)
     assert capfd.readouterr() == ("", "")
@@ -130,10 +124,9 @@ def test_what_the_heat_method_refuses_has_the_same_message(bumpy: Surface, capfd
 def test_a_crash_of_native_code_is_an_error_of_the_mesh(
     bumpy: Surface, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    crash = "from clalign.geometry import heat_server\nheat_server.answer = lambda _: __import__('os').abort()\n"
-    monkeypatch.setattr(heat_process, "PROGRAM", ANSWER_FIRST + crash + "heat_server.main()")
-    with HeatProcess() as heat, pytest.raises(MeshError, match=r"bumpy: geodesic distances .*SIGABRT"):
-        heat.farthest_points(bumpy, 5, 6, 2)
+    monkeypatch.setattr(heat_process, "PROGRAM", "import os; os.abort()")
+    with pytest.raises(MeshError, match=r"bumpy: geodesic distances .*SIGABRT"):
+        HeatProcess().farthest_points(bumpy, 6, 2)
     assert capfd.readouterr() == ("", "")
 
 
@@ -145,37 +138,29 @@ def test_a_kill_from_outside_is_no_error_of_the_mesh(
 ) -> None:
     """As the system kills where memory runs out: this process, with all it holds, must not be the next."""
     kill = f"import os, sys; sys.stdin.buffer.read(20); os.kill(os.getpid(), {int(getattr(signal, ending))})"
-    with HeatProcess() as heat:
-        with monkeypatch.context() as patch:
-            patch.setattr(heat_process, "PROGRAM", kill)
-            with pytest.raises(MemoryBudgetError, match=rf"bumpy: .*{ending}.* CLALIGN_THREADS=1"):
-                heat.farthest_points(bumpy, 5, 6, 2)
-        # The next one starts another.
-        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+    monkeypatch.setattr(heat_process, "PROGRAM", kill)
+    with pytest.raises(MemoryBudgetError, match=rf"bumpy: .*{ending}.* CLALIGN_THREADS=1"):
+        HeatProcess().farthest_points(bumpy, 6, 2)
 
 
 @posix
 def test_other_signals_leave_the_work_to_this_interpreter(bumpy: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
     end = f"import os, sys; sys.stdin.buffer.read(20); os.kill(os.getpid(), {int(signal.SIGHUP)})"
     monkeypatch.setattr(heat_process, "PROGRAM", end)
-    with HeatProcess() as heat:
-        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+    assert_same(HeatProcess().farthest_points(bumpy, 6, 2), farthest_points(bumpy, 6, 2))
 
 
 @pytest.mark.usefixtures("not_here")
 def test_two_meshes_have_two_processes_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Neither answers before both were asked."""
     meeting = f"""import os, pathlib, time
-from clalign.geometry import heat_server
-folder, answer, limit = pathlib.Path({str(tmp_path)!r}), heat_server.answer, time.monotonic() + 100
-def met(body):
-    (folder / str(os.getpid())).touch()
-    while len(list(folder.iterdir())) < 2:
-        assert time.monotonic() < limit
-        time.sleep(0.01)
-    return answer(body)
-heat_server.answer = met
-heat_server.main()"""
+from clalign.geometry.heat import answer
+folder, limit = pathlib.Path({str(tmp_path)!r}), time.monotonic() + 100
+(folder / str(os.getpid())).touch()
+while len(list(folder.iterdir())) < 2:
+    assert time.monotonic() < limit
+    time.sleep(0.01)
+answer()"""
     meshes = [
         analytic.as_unit_mesh(analytic.bumpy(3), "bumpy"),
         analytic.as_unit_mesh(analytic.torus(30, 15, 0.4), "t"),
@@ -202,17 +187,14 @@ heat_server.main()"""
     [
         "raise SystemExit(3)",
         "import nothing_of_this_name",
-        "import os; os.write(1, b'=' + bytes(7))",
-        "import sys; sys.stdin.buffer.read(20); sys.exit()",
+        "import sys; sys.stdin.buffer.read(20); sys.exit(1)",
     ],
 )
 def test_without_an_answer_the_work_is_done_here(
     bumpy: Surface, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], program: str
 ) -> None:
     monkeypatch.setattr(heat_process, "PROGRAM", program)
-    with HeatProcess() as heat:
-        for _ in range(2):
-            assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+    assert_same(HeatProcess().farthest_points(bumpy, 6, 2), farthest_points(bumpy, 6, 2))
     assert capfd.readouterr() == ("", "")
 
 
@@ -225,16 +207,14 @@ def test_without_an_interpreter_the_work_is_done_here(
     application.write_text(f"#!/bin/sh\ntouch '{started}'\n", encoding="utf-8")
     application.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(tmp_path / executable) if executable else executable)
-    with HeatProcess() as heat:
-        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+    assert_same(HeatProcess().farthest_points(bumpy, 6, 2), farthest_points(bumpy, 6, 2))
     assert not started.exists()
 
 
 def test_a_frozen_program_is_not_started_again(bumpy: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "frozen", True, raising=False)
     monkeypatch.setattr(heat_process, "_started", lambda: pytest.fail("started"))
-    with HeatProcess() as heat:
-        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+    assert_same(HeatProcess().farthest_points(bumpy, 6, 2), farthest_points(bumpy, 6, 2))
 
 
 @pytest.mark.usefixtures("not_here")
@@ -248,8 +228,7 @@ def test_modules_in_the_working_folder_are_not_taken_for_libraries(
         (folder / f"{name}.py").write_text("raise SystemExit('the wrong one')", encoding="utf-8")
     monkeypatch.setattr(sys, "path", [entry, *(os.path.abspath(folder) for folder in sys.path if folder)])
     monkeypatch.chdir(tmp_path)
-    with HeatProcess() as heat:
-        assert_same(heat.farthest_points(bumpy, 5, 6, 2), farthest_points(bumpy, 5, 6, 2))
+    assert_same(HeatProcess().farthest_points(bumpy, 6, 2), farthest_points(bumpy, 6, 2))
 
 
 @pytest.mark.usefixtures("not_here")
@@ -257,42 +236,42 @@ def test_stopping_ends_a_process_that_is_at_work(bumpy: Surface, monkeypatch: py
     """As Ctrl-C does: the thread that waits for an answer gets an exception, and no process is left."""
     monkeypatch.setattr(heat_process, "PROGRAM", "import time; time.sleep(600)")
     errors: list[BaseException] = []
-    heat = HeatProcess()
+    process = HeatProcess()
 
     def ask() -> None:
         try:
-            heat.farthest_points(bumpy, 5, 6, 2)
+            process.farthest_points(bumpy, 6, 2)
         except BaseException as error:
             errors.append(error)
 
     thread = threading.Thread(target=ask)
     thread.start()
-    wait_until(lambda: heat._process is not None)
-    assert heat._process is not None
-    number = heat._process.pid
-    heat.stop()
+    wait_until(lambda: process._process is not None)
+    assert process._process is not None
+    number = process._process.pid
+    process.stop()
     thread.join(60)
     assert not thread.is_alive()
     assert [type(error) for error in errors] == [CancelledError]
     assert gone(number)
     with pytest.raises(CancelledError):
-        heat.farthest_points(bumpy, 5, 6, 2)
+        process.farthest_points(bumpy, 6, 2)
 
 
 def test_stopping_ends_what_is_computed_in_this_process(bumpy: Surface, monkeypatch: pytest.MonkeyPatch) -> None:
     """On one processor; the interpreter would wait at its exit for the last sample."""
     monkeypatch.setattr(heat_process, "processor_count", lambda: 1)
-    heat, plain, rows = HeatProcess(), HeatMethod.row, []
+    process, plain, rows = HeatProcess(), HeatMethod.row, []
 
     def row(method: HeatMethod, vertex: int) -> NDArray[np.float64]:
         rows.append(vertex)
         if len(rows) == 4:
-            heat.stop()
+            process.stop()
         return plain(method, vertex)
 
     monkeypatch.setattr(HeatMethod, "row", row)
     with pytest.raises(CancelledError):
-        heat.farthest_points(bumpy, 5, 60, 20)
+        process.farthest_points(bumpy, 60, 20)
     assert len(rows) == 4
 
 
@@ -320,23 +299,12 @@ def test_an_interrupt_during_preparation_ends_the_process(monkeypatch: pytest.Mo
     assert all(gone(number) for number in numbers)
 
 
-def test_a_process_ends_with_its_input(bumpy: Surface) -> None:
-    """So that none outlives a program that is killed."""
-    with HeatProcess() as heat:
-        heat.farthest_points(bumpy, 5, 6, 2)
-        process = heat._process
-        assert process is not None
-        assert process.stdin is not None
-        process.stdin.close()
-        assert process.wait(60) == 0
-
-
 def test_what_the_process_imports() -> None:
     """A start of a fifth of a second, not of two: neither trimesh nor scipy's solvers."""
-    program = "from clalign.geometry import heat_server; import potpourri3d, sys; print(*sys.modules)"
+    program = "from clalign.geometry import heat; import potpourri3d, sys; print(*sys.modules)"
     with os.popen(f'"{sys.executable}" -c "{program}"') as output:
         loaded = set(output.read().split())
-    assert {"numpy", "potpourri3d", heat_server.__name__} <= loaded
+    assert {"numpy", "potpourri3d", heat.__name__} <= loaded
     assert not loaded & {"trimesh", "scipy.linalg", "scipy.spatial", "pyopencl", "clalign.mesh.mesh"}
 
 
@@ -360,6 +328,6 @@ def test_a_lost_process_is_logged(
     bumpy: Surface, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(heat_process, "PROGRAM", "raise SystemExit(7)")
-    with caplog.at_level(logging.INFO, logger="clalign"), HeatProcess() as heat:
-        heat.farthest_points(bumpy, 5, 6, 2)
+    with caplog.at_level(logging.INFO, logger="clalign"):
+        HeatProcess().farthest_points(bumpy, 6, 2)
     assert "status 7" in caplog.text

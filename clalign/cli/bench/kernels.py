@@ -46,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
     from clalign.benchmark.kernels import kernel_table, spectra_table
     from clalign.benchmark.losses import loss_table
     from clalign.benchmark.performance import this_machine
-    from clalign.engine.kernels import open_kernels
+    from clalign.engine.device import Device
+    from clalign.engine.kernels import Kernels
     from clalign.errors import OptionError
-    from clalign.options import EngineOptions
 
     parts = [part.strip() for part in args.parts.split(",")]
     if not set(parts) <= set(PARTS):
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     if args.repeat < 1:
         raise OptionError(f"--repeat must be at least 1, got {args.repeat}")
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
-    machine, kernels = this_machine(), open_kernels(EngineOptions(device=args.device))
+    machine, kernels = this_machine(), Kernels(Device(args.device))
     tables: dict[str, str] = {}
     document: dict[str, Any] = {"device": kernels.device.describe()}
     if "kernels" in parts:
