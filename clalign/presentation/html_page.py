@@ -1,42 +1,37 @@
-"""What the pages of a match and of a collection share: their head, how templates are filled, how a page is written."""
+"""The pages of a match and of a collection: Jinja templates that lie beside their modules, and how a page is written."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 from clalign.storage.files import replaced_file
 
+_LOADER = PackageLoader(__package__, ".")
+_TEMPLATES = Environment(
+    loader=_LOADER,
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+)
+_TEMPLATES.policies["json.dumps_kwargs"] = {"ensure_ascii": False, "allow_nan": False}
+# A file of this package as it is: styles and programs hold braces that are not for Jinja.
+_TEMPLATES.globals["raw"] = lambda name: Markup(_LOADER.get_source(_TEMPLATES, name)[0])
 
-def head(title: str, style: str, images: str) -> str:
-    """Return the head of a page that loads nothing from elsewhere.
+
+def write_page(path: Path, template: str, **values: object) -> None:
+    """Write a page that loads nothing from elsewhere; an earlier one is replaced only when the new one is complete.
 
     Parameters
     ----------
-    title : as HTML.
-    style : CSS.
-    images : where images may come from, as in a content security policy.
+    path : the file to write.
+    template : its file, from this package's folder on.
+    values : what the template names; texts are escaped unless they are `Markup`.
     """
-    return fill(file_text(__package__, "head.html"), {"title": title, "style": style, "images": images})
-
-
-def fill(template: str, parts: Mapping[str, str]) -> str:
-    """Return a template with ``{{name}}`` replaced by the part of that name; parts are not looked into."""
-    first, *pieces = template.split("{{")
-    filled = [first]
-    for piece in pieces:
-        name, rest = piece.split("}}", 1)
-        filled += [parts[name], rest]
-    return "".join(filled)
-
-
-def file_text(package: str, name: str) -> str:
-    """Return a text file of a package; `name` may hold folders."""
-    return resources.files(package).joinpath(*name.split("/")).read_text(encoding="utf-8")
-
-
-def write_page(path: Path, page: str) -> None:
-    """Write a page; an earlier one is replaced only when the new one is complete."""
+    page = _TEMPLATES.get_template(template).render(values)
     with replaced_file(path) as stream:
         stream.write(page.encode())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,32 +22,16 @@ _MOST_FUNCTIONS = 120
 _HISTORY_LINES = ("total", "align", "unsup", "cycle", "unitarity")
 
 
-@dataclass(frozen=True)
-class Payload:
-    """Content of a page.
-
-    Attributes
-    ----------
-    facts : plain values for JSON.
-    arrays : by name; dtypes uint8, uint16, uint32, int32 or float32.
-    """
-
-    facts: dict[str, Any]
-    arrays: dict[str, NDArray[np.generic]]
-
-
 def build_payload(
     correspondence: Correspondence,
     *,
     evaluation: Evaluation | None = None,
     functions: int | None = None,
     up: Up | None = None,
-) -> Payload:
-    """Collect everything that the page of a match shows.
+) -> tuple[dict[str, Any], dict[str, NDArray[np.generic]]]:
+    """Return the facts and the arrays (uint8, uint16, uint32, int32 or float32) that the page of a match shows.
 
-    Parameters
-    ----------
-    correspondence, evaluation, functions, up : see `clalign.presentation.report.write_report`.
+    The arguments are those of `clalign.presentation.report.write_report`.
     """
     source, target = correspondence.source, correspondence.target
     view = front_view(target.vertices, up)
@@ -79,34 +62,26 @@ def build_payload(
         "evaluation": None if evaluation is None else _evaluation(evaluation),
         **_provenance(correspondence),
     }
-    return Payload(facts, arrays)
+    return facts, arrays
 
 
 def _add_maps(correspondence: Correspondence, arrays: dict[str, NDArray[np.generic]]) -> list[dict[str, Any]]:
     source, target = correspondence.source, correspondence.target
-    described: list[dict[str, Any]] = [
-        {
-            "label": "the chosen map",
-            "orientation": finite_or_none(correspondence.orientation),
-            "score": finite_or_none(correspondence.score),
-            "distance": 0.0,
-        }
-    ]
-    described += [
-        {
-            "label": f"alternative {rank}",
-            "orientation": finite_or_none(other.orientation),
-            "score": finite_or_none(other.score),
-            "distance": finite_or_none(other.distance),
-        }
-        for rank, other in enumerate(correspondence.alternatives, start=1)
-    ]
     every_map: tuple[Correspondence | Alternative, ...] = (correspondence, *correspondence.alternatives)
+    described = []
     for rank, maps in enumerate(every_map):
         forward = vertex_map(maps.target_of_source, source, target)
         backward = vertex_map(maps.source_of_target, target, source)
         arrays[f"map-{rank}-target-of-source"] = forward.vertex.astype(np.int32)
         arrays[f"map-{rank}-source-of-target"] = backward.vertex.astype(np.int32)
+        described.append(
+            {
+                "label": f"alternative {rank}" if rank else "the chosen map",
+                "orientation": finite_or_none(maps.orientation),
+                "score": finite_or_none(maps.score),
+                "distance": finite_or_none(maps.distance) if isinstance(maps, Alternative) else 0.0,
+            }
+        )
     return described
 
 
