@@ -1,4 +1,4 @@
-"""The pages of a match and of a collection: Jinja templates that lie beside their modules, and how a page is written."""
+"""Pages of a match and of a collection: Jinja templates beside their modules, and how a page is written."""
 
 from __future__ import annotations
 

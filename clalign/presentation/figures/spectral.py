@@ -18,7 +18,8 @@ from clalign.evaluation.spectral import (
     true_rotation,
 )
 from clalign.maps.functional_maps import PointMaps
-from clalign.presentation.figures.sheet import Drawing, Table, new_figure
+from clalign.presentation.curves import new_figure
+from clalign.presentation.figures.sheet import Drawing
 
 _RUNNING = 11
 _GAMMA = 0.5
@@ -39,7 +40,7 @@ def draw_funnel(result: Correspondence, maps: PointMaps) -> Drawing:
     recovered = recovered_rotation(result)
     band = funnel_band(count, result.options.alignment)
     mask = band_mask(band)
-    figure = new_figure(9.6, 3.5)
+    figure = new_figure(9.6, 3.5, "constrained")
     panels = figure.subplots(1, 3)
     titles = (
         f"|C̃| of the truth, {energy_inside(true, mask):.1%} inside",
@@ -57,7 +58,6 @@ def draw_funnel(result: Correspondence, maps: PointMaps) -> Drawing:
         axes.set_xlabel("eigenfunction of the target", fontsize=8)
         axes.tick_params(labelsize=7)
     panels[0].set_ylabel("eigenfunction of the source", fontsize=8)
-    figure.set_layout_engine("constrained")
     rows_inside = [np.square(np.where(mask, m, 0.0)).sum(1) / np.square(m).sum(1) for m in (true, recovered)]
     norms = [np.linalg.norm(m, axis=1) for m in (true, recovered)]
     columns = (coupling_spread(true), coupling_spread(recovered), *rows_inside, *norms)
@@ -66,7 +66,7 @@ def draw_funnel(result: Correspondence, maps: PointMaps) -> Drawing:
         for i in index
     )
     names = ("eigenfunction", "first_column", "last_column", "spread_true", "spread_recovered")
-    return Drawing(figure, Table((*names, "inside_true", "inside_recovered", "norm_true", "norm_recovered"), rows))
+    return Drawing(figure, (*names, "inside_true", "inside_recovered", "norm_true", "norm_recovered"), rows)
 
 
 def draw_spectral_errors(errors: Mapping[str, SpectralErrors]) -> Drawing:
@@ -81,7 +81,7 @@ def draw_spectral_errors(errors: Mapping[str, SpectralErrors]) -> Drawing:
     first = next(iter(errors.values()))
     curves: dict[str, NDArray[np.float64]] = {"unaligned": first.unaligned, "unaligned, true signs": first.signed}
     curves |= {label: measured.aligned for label, measured in errors.items()}
-    figure = new_figure(6.6, 4.3)
+    figure = new_figure(6.6, 4.3, "constrained")
     axes = figure.add_subplot()
     count = max(len(curve) for curve in curves.values())
     for number, (label, curve) in enumerate(curves.items()):
@@ -93,11 +93,10 @@ def draw_spectral_errors(errors: Mapping[str, SpectralErrors]) -> Drawing:
     axes.grid(alpha=0.3)
     # Beside the axes: thin lines are everywhere inside.
     axes.legend(fontsize="small", loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
-    figure.set_layout_engine("constrained")
     rows = tuple(
         (k + 1, *(float(curve[k]) if k < len(curve) else None for curve in curves.values())) for k in range(count)
     )
-    return Drawing(figure, Table(("eigenfunction", *curves), rows))
+    return Drawing(figure, ("eigenfunction", *curves), rows)
 
 
 def running_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:

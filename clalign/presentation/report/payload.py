@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from clalign.correspondence import Alternative, Correspondence, finite_or_none
 from clalign.evaluation.errors import Evaluation
 from clalign.mesh.mesh import Mesh
-from clalign.presentation.camera import Up, front_view
-from clalign.presentation.picture import map_rotation
+from clalign.presentation.camera import Up
+from clalign.presentation.picture import pair_views
 from clalign.transfer.colours import RAMPS, UNMATCHED, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map, vertex_map
 
 _FUNCTION_BYTES = 8_000_000
 _MOST_FUNCTIONS = 120
+_PROVENANCE = ("device", "confidence", "orientation", "losses", "timings", "warnings", "options", "versions")
 _HISTORY_LINES = ("total", "align", "unsup", "cycle", "unitarity")
 
 
@@ -34,24 +35,23 @@ def build_payload(
     The arguments are those of `clalign.presentation.report.write_report`.
     """
     source, target = correspondence.source, correspondence.target
-    view = front_view(target.vertices, up)
-    to_target = surface_map(correspondence)
-    views = {"source": view @ map_rotation(source.vertices, target.vertices, to_target), "target": view}
+    views = pair_views(correspondence, up)
     arrays: dict[str, NDArray[np.generic]] = {}
     shapes = {}
-    for side, mesh in (("source", source), ("target", target)):
-        placed = mesh.vertices @ views[side].T
+    for side, mesh, view in zip(("source", "target"), (source, target), views, strict=True):
+        placed = mesh.vertices @ view.T
         low, span = placed.min(axis=0), float(np.ptp(placed, axis=0).max()) or 1.0
         arrays[f"{side}-positions"] = np.rint((placed - low) / span * 65535).astype(np.uint16)
         arrays[f"{side}-faces"] = mesh.faces.astype(np.uint16 if mesh.n_vertices < 1 << 16 else np.uint32)
         arrays[f"{side}-numbers"] = mesh.file_index.astype(np.uint32)
         shapes[side] = {**_mesh_facts(mesh), "low": low.tolist(), "span": span}
-    arrays["colours"] = _bytes(position_colours(target.vertices, view))
+    arrays["colours"] = np.rint(255 * position_colours(target.vertices, views[1])).astype(np.uint8)
     arrays["distortion"] = correspondence.distortion.astype(np.float32)
     arrays["rotation"] = correspondence.rotation.astype(np.float32)
     arrays["functional-map"] = correspondence.functional_map.astype(np.float32)
     maps = _add_maps(correspondence, arrays)
-    shown = _add_functions(correspondence, to_target, functions, arrays)
+    shown = _add_functions(correspondence, functions, arrays)
+    provenance = correspondence.facts()
     facts = {
         **shapes,
         "maps": maps,
@@ -60,7 +60,7 @@ def build_payload(
         "unmatched": (UNMATCHED * 255).round().astype(int).tolist(),
         "history": _history(correspondence),
         "evaluation": None if evaluation is None else _evaluation(evaluation),
-        **_provenance(correspondence),
+        **{name: provenance[name] for name in _PROVENANCE},
     }
     return facts, arrays
 
@@ -86,14 +86,11 @@ def _add_maps(correspondence: Correspondence, arrays: dict[str, NDArray[np.gener
 
 
 def _add_functions(
-    correspondence: Correspondence,
-    to_target: SurfaceMap,
-    wanted: int | None,
-    arrays: dict[str, NDArray[np.generic]],
+    correspondence: Correspondence, wanted: int | None, arrays: dict[str, NDArray[np.generic]]
 ) -> dict[str, Any]:
-    source_count, target_count = correspondence.source.n_vertices, correspondence.target.n_vertices
-    available = len(correspondence.rotation)
-    fitting = min(_MOST_FUNCTIONS, _FUNCTION_BYTES // (2 * (source_count + target_count)))
+    to_target, available = surface_map(correspondence), len(correspondence.rotation)
+    vertices = correspondence.source.n_vertices + correspondence.target.n_vertices
+    fitting = min(_MOST_FUNCTIONS, _FUNCTION_BYTES // (2 * vertices))
     shown = min(available, max(1, fitting) if wanted is None else max(1, wanted))
     stages = {
         "before": (correspondence.source_scale_invariant.functions, correspondence.target_scale_invariant.functions),
@@ -146,12 +143,6 @@ def _evaluation(evaluation: Evaluation) -> dict[str, Any]:
     }
 
 
-def _provenance(correspondence: Correspondence) -> dict[str, Any]:
-    facts = correspondence.facts()
-    names = ("device", "confidence", "orientation", "losses", "timings", "warnings", "options", "versions")
-    return {name: facts[name] for name in names}
-
-
 def _mesh_facts(mesh: Mesh) -> dict[str, Any]:
     return {
         "name": mesh.name,
@@ -161,7 +152,3 @@ def _mesh_facts(mesh: Mesh) -> dict[str, Any]:
         "scale": finite_or_none(mesh.scale),
         "notes": list(mesh.notes),
     }
-
-
-def _bytes(colours: NDArray[np.float64]) -> NDArray[np.uint8]:
-    return np.rint(colours * 255.0).astype(np.uint8)
