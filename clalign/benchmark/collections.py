@@ -208,8 +208,8 @@ def _truth(source: Path, target: Path) -> TruthFiles:
     mirror = source.parent / "mirror.txt"
     lines = [path.with_name(f"{path.stem}.truth.txt") for path in (source, target)]
     if all(path.is_file() for path in lines):
-        return TruthFiles("lines", lines[0], lines[1], mirror if mirror.is_file() else None)
-    return TruthFiles("identity", mirror=mirror if mirror.is_file() else None)
+        return TruthFiles(lines[0], lines[1], mirror if mirror.is_file() else None)
+    return TruthFiles(mirror=mirror if mirror.is_file() else None)
 
 
 def error_rows(name: str, collection: Collection, points: int) -> list[Errors]:

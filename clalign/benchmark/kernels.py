@@ -101,20 +101,7 @@ class Case:
 def measure_kernels(
     kernels: Kernels, sizes: Sequence[Size] = SIZES, repeats: int = 5, seed: int = 0
 ) -> Iterator[KernelRate]:
-    """Time the ceilings of the device, then every kernel at every size.
-
-    Parameters
-    ----------
-    kernels : an open backend.
-    sizes : problem sizes.
-    repeats : the best of so many runs counts.
-    seed : of the random values.
-
-    Yields
-    ------
-    KernelRate
-        As they are measured.
-    """
+    """Time the ceilings of the device, then every kernel at every size; of each the best of `repeats` counts."""
     rng = np.random.default_rng(seed)
     yield from (measure(kernels, case, repeats) for case in ceilings(kernels, rng))
     for size in sizes:

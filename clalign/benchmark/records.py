@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.benchmark.methods import Outcome
-from clalign.errors import ResultError
 from clalign.evaluation.errors import THRESHOLDS, Evaluation
 from clalign.storage.rows import RowFile, append_rows, complete_rows
 

@@ -56,7 +56,7 @@ class ChangedPair:
         source = load_mesh(self.path)
         changed = CHANGES[self.change](source)
         shuffled = perturb.renumber(changed.mesh)
-        truth = changed.truth.renumbered(target=shuffled.truth.target_points)
+        truth = changed.truth.renumbered(shuffled.truth.target_points)
         mirrored = None
         if self.mirror is not None:
             truth, mirrored = _with_mirrored(truth, read_mirror(self.mirror, count=source.file_count))

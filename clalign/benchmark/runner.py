@@ -129,7 +129,7 @@ def run(
     waiting = [trial for trial in trials if trial.key not in done]
     count = len(trials) - len(waiting)
     logger.info("%d pairs, %d of them already in %s", len(trials), count, folder)
-    results = _in_this_process(waiting) if jobs == 1 else _in_processes(waiting, jobs)
+    results = (measure(trial) for trial in waiting) if jobs == 1 else _in_processes(waiting, jobs)
     with _tidy_termination() if jobs > 1 else contextlib.nullcontext(), contextlib.closing(results):
         for record, curves in results:
             append_record(folder, record, curves)
@@ -165,11 +165,6 @@ def measure(trial: Trial) -> tuple[Record, Curves]:
         return failed_record(trial.key, f"{type(error).__name__}: {error}"), {}
     curves = {"sqrt_area": evaluation.curve(), "diameter": evaluation.curve(per_diameter=True)}
     return record_of(trial.key, evaluation, outcome), curves
-
-
-def _in_this_process(trials: Sequence[Trial]) -> Generator[tuple[Record, Curves]]:
-    for trial in trials:
-        yield measure(trial)
 
 
 def _in_processes(trials: Sequence[Trial], jobs: int) -> Generator[tuple[Record, Curves]]:

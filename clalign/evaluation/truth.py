@@ -79,15 +79,9 @@ class Truth:
             raise ResultError(f"mirror line {bad[0] + 1} says {lines[bad[0]]}, outside 0 … {self.count - 1}")
         return Truth(self.source_points, self.target_points[lines])
 
-    def renumbered(self, *, source: NDArray[np.int64] | None = None, target: NDArray[np.int64] | None = None) -> Truth:
-        """Truth after the vertices were given new numbers: ``new_of_old`` (n,) of either mesh."""
-        new_source = self.source_points if source is None else np.asarray(source)[self.source_points]
-        new_target = self.target_points if target is None else np.asarray(target)[self.target_points]
-        return Truth(new_source, new_target)
-
-    def reversed(self) -> Truth:
-        """Truth of the maps from Y to X."""
-        return Truth(self.target_points, self.source_points)
+    def renumbered(self, new_of_old: NDArray[np.int64]) -> Truth:
+        """Truth after the target's vertices were given new numbers."""
+        return Truth(self.source_points, new_of_old[self.target_points])
 
     def check_against(self, source_count: int, target_count: int) -> None:
         """Raise `ResultError` when a point is not a vertex of its mesh file."""

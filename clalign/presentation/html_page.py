@@ -23,15 +23,13 @@ _TEMPLATES.policies["json.dumps_kwargs"] = {"ensure_ascii": False, "allow_nan": 
 _TEMPLATES.globals["raw"] = lambda name: Markup(_LOADER.get_source(_TEMPLATES, name)[0])
 
 
-def write_page(path: Path, template: str, **values: object) -> None:
-    """Write a page that loads nothing from elsewhere; an earlier one is replaced only when the new one is complete.
+def rendered(template: str, **values: object) -> str:
+    """Return a template (its file, from this package's folder on) with its names filled in; texts are escaped."""
+    return _TEMPLATES.get_template(template).render(values)
 
-    Parameters
-    ----------
-    path : the file to write.
-    template : its file, from this package's folder on.
-    values : what the template names; texts are escaped unless they are `Markup`.
-    """
-    page = _TEMPLATES.get_template(template).render(values)
+
+def write_page(path: Path, template: str, **values: object) -> None:
+    """Write a page that loads nothing from elsewhere; an earlier one is replaced only when the new one is complete."""
+    page = rendered(template, **values)
     with replaced_file(path) as stream:
         stream.write(page.encode())

@@ -122,8 +122,8 @@ def test_colours_are_carried_by_the_maps(collection: Collection, monkeypatch: py
     chain = [row for row in collection.pairs if (row.source, row.target) in (("s0", "s1"), ("s1", "s2"))]
     part = replace(collection, pairs=tuple(chain))
     drawn = list(shape_pictures(part))
-    assert [picture.name for picture in drawn] == ["s1", "s0", "s2", "s3"]
-    assert [picture.way for picture in drawn] == [(), ("s1",), ("s1",), ()]
+    assert [name for name, _, _ in drawn] == ["s1", "s0", "s2", "s3"]
+    assert [way for _, _, way in drawn] == [(), ("s1",), ("s1",), ()]
     maps = collection.maps("s0", "s2")
     np.testing.assert_allclose(painted[1], painted[2][maps.target_of_source])
     assert np.ptp(painted[3]) == 0.0

@@ -85,7 +85,9 @@ def run(args: argparse.Namespace) -> int:
         finished = run_methods(layouts, methods, Measurement(seed=args.seed), args, terminal)
         if finished is None:
             return EXIT_INTERRUPTED
-        documents[name] = _report(name, study_table(title, rows, summarise(finished.records), base), finished, args, terminal)
+        documents[name] = _report(
+            name, study_table(title, rows, summarise(finished.records), base), finished, args, terminal
+        )
         failed |= any(record.failed for record in finished.records)
     terminal.document(documents)
     return 1 if failed else 0

@@ -95,9 +95,8 @@ def _draw_all(collection: Collection, folder: Path) -> dict[str, tuple[str, ...]
     place = folder / PICTURE_FOLDER
     place.mkdir(exist_ok=True)
     ways = {}
-    for picture in shape_pictures(collection):
-        write_png(place / f"{picture.name}.png", picture.image)
-        ways[picture.name] = picture.way
+    for name, image, ways[name] in shape_pictures(collection):
+        write_png(place / f"{name}.png", image)
     return ways
 
 
