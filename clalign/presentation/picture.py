@@ -22,12 +22,8 @@ def save_match_picture(
 ) -> None:
     """Save a PNG of both shapes, source left, with the target's colours carried to the source by the map.
 
-    Parameters
-    ----------
-    correspondence : the match.
-    path : where to write the PNG file.
-    height : of the picture, in pixels.
-    up : coordinate axis of the target that points up, if the guess from its extent is wrong.
+    The picture is `height` pixels high; `up` is the coordinate axis of the target that points up, if the guess from its
+    extent is wrong.
     """
     write_png(path, match_image(correspondence, height=height, up=up))
 

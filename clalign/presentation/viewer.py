@@ -21,7 +21,6 @@ def show(
 
     Parameters
     ----------
-    correspondence : the match.
     up : coordinate axis of the target that points up, if the guess from its extent is wrong.
     screenshot : write a PNG there instead of opening a window.
 

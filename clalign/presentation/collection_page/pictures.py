@@ -33,8 +33,9 @@ class _Reached:
 def shape_pictures(collection: Collection) -> Iterator[tuple[str, NDArray[np.uint8], tuple[str, ...]]]:
     """Yield the name of every shape that can be loaded, its picture, and the shapes over which its colours came.
 
-    The reference comes first, then others outwards along the maps. Pictures are (height, width, 3). Shapes that no chain of maps joins to the reference are grey. At any time only the shapes at the rim of what is
-    reached are in memory.
+    The reference comes first, then others outwards along the maps; pictures are (height, width, 3). Shapes that no
+    chain of maps joins to the reference are grey. At any time only the shapes at the rim of what is reached are in
+    memory.
     """
     neighbours = _neighbours(collection)
     meshes = {row.name: row.path for row in collection.shapes if row.ok}

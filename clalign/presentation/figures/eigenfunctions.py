@@ -9,16 +9,7 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.errors import OptionError
-from clalign.evaluation.spectral import (
-    PairRotation,
-    alignment_errors,
-    as_computed,
-    most_rotated_pair,
-    pair_rotation,
-    recovered_rotation,
-    support_areas,
-    true_rotation,
-)
+from clalign.evaluation import spectral
 from clalign.maps.functional_maps import PointMaps
 from clalign.presentation.figures.sheet import AFTER, BEFORE, PANEL_HEIGHT, Cell, Drawing, Image, panel_sheet
 from clalign.presentation.figures.surfaces import Pair, PairView
@@ -40,10 +31,8 @@ def draw_eigenfunctions(
 
     Parameters
     ----------
-    result : the match.
     maps : what err(k) is measured by: the truth, or the found maps where there is none.
     shown : numbers of eigenfunctions, from 1; those beyond the last one are left out.
-    height : of a panel, in pixels.
     """
     view = PairView.of(result)
     kept = [number for number in shown if number <= len(result.rotation)]
@@ -69,26 +58,22 @@ def draw_pair_rotation(
 ) -> Drawing:
     """Draw Fig. 2: two neighbouring eigenfunctions that are turned within their span, and the turn recovered.
 
-    Parameters
-    ----------
-    maps : the truth.
-    first : number (from 1) of the first function; None takes the pair that is turned most.
-    height : of a panel, in pixels.
+    `maps` is the truth; `first` the number (from 1) of the first function, None for the pair that is turned most.
 
     Raises
     ------
     OptionError
         There is no such pair.
     """
-    true = true_rotation(
-        as_computed(result.source_scale_invariant), result.target_scale_invariant, maps.source_of_target
+    true = spectral.true_rotation(
+        spectral.as_computed(result.source_scale_invariant), result.target_scale_invariant, maps.source_of_target
     )
     true = true[: len(result.rotation), : len(result.rotation)]
-    support = support_areas(result.target_scale_invariant.functions, result.target_basis.mass)
-    place = most_rotated_pair(true, support) if first is None else first - 1
+    support = spectral.support_areas(result.target_scale_invariant.functions, result.target_basis.mass)
+    place = spectral.most_rotated_pair(true, support) if first is None else first - 1
     if not 0 <= place < len(result.rotation) - 1:
         raise OptionError(f"there is no pair {place + 1}, {place + 2} among {len(result.rotation)} eigenfunctions")
-    blocks = pair_rotation(true, place), pair_rotation(recovered_rotation(result), place)
+    blocks = spectral.pair_rotation(true, place), spectral.pair_rotation(spectral.recovered_rotation(result), place)
     view = PairView.of(result)
     before, after = _unaligned(result), (result.source_aligned, result.target_aligned)
     grid = []
@@ -116,12 +101,7 @@ def draw_variants(
 ) -> Drawing:
     """Draw Fig. 8: one eigenfunction on both shapes, unaligned and aligned by variants of the method.
 
-    Parameters
-    ----------
-    results : label to match of the same pair.
-    maps : the truth.
-    number : of the eigenfunction, from 1.
-    height : of a panel, in pixels.
+    `results` are matches of the same pair by label, `maps` is the truth, `number` counts from 1.
 
     Raises
     ------
@@ -153,21 +133,23 @@ def draw_variants(
 
 def _unaligned(result: Correspondence) -> Pair:
     count = len(result.rotation)
-    return as_computed(result.source_scale_invariant)[:, :count], result.target_scale_invariant.functions[:, :count]
+    return spectral.as_computed(result.source_scale_invariant)[:, :count], result.target_scale_invariant.functions[
+        :, :count
+    ]
 
 
 def _errors(result: Correspondence, functions: Pair, maps: PointMaps) -> NDArray[np.float64]:
-    return alignment_errors(*functions, maps.target_of_source, result.source_basis.mass)
+    return spectral.alignment_errors(*functions, maps.target_of_source, result.source_basis.mass)
 
 
-def _block_text(pair: PairRotation) -> str:
+def _block_text(pair: spectral.PairRotation) -> str:
     (a, b), (c, d) = pair.block
     turn = f"{'reflected, ' if pair.reflected else ''}{pair.angle:+.0f}°, {pair.kept:.0%} inside"
     return f"{a:+.2f} {b:+.2f}\n{c:+.2f} {d:+.2f}\n{turn}"
 
 
 def _rotation_rows(
-    place: int, blocks: tuple[PairRotation, PairRotation], errors: Sequence[NDArray[np.float64]]
+    place: int, blocks: tuple[spectral.PairRotation, spectral.PairRotation], errors: Sequence[NDArray[np.float64]]
 ) -> tuple[tuple[Cell, ...], ...]:
     rows: list[tuple[Cell, ...]] = []
     for label, pair, measured in zip(("truth, before", "recovered, after"), blocks, errors, strict=True):

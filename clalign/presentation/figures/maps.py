@@ -43,11 +43,7 @@ def draw_matched_colours(
 ) -> Drawing:
     """Draw Fig. 6: corresponding points of each pair in one colour, the target's colours carried to the source.
 
-    Parameters
-    ----------
-    results : label to match.
-    evaluations : those that could be measured, by the same labels.
-    height : half the height of a panel, in pixels.
+    Matches, and those of them that could be measured, go by label; `height` is half that of a panel, in pixels.
     """
     panels: list[Image] = []
     notes: list[str] = []
@@ -74,7 +70,6 @@ def draw_mirrored(
     ----------
     results : label to match of one pair; the last one is drawn as the good one.
     evaluations : by the same labels, with errors to the mirrored truth where it is known.
-    height : of a panel, in pixels.
     """
     grid: list[list[Image]] = []
     *_, good = results.values()

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Alternative, Correspondence, finite_or_none
 from clalign.evaluation.errors import Evaluation
-from clalign.mesh.mesh import Mesh
 from clalign.presentation.camera import Up
 from clalign.presentation.picture import pair_views
 from clalign.transfer.colours import RAMPS, UNMATCHED, position_colours
@@ -44,7 +43,16 @@ def build_payload(
         arrays[f"{side}-positions"] = np.rint((placed - low) / span * 65535).astype(np.uint16)
         arrays[f"{side}-faces"] = mesh.faces.astype(np.uint16 if mesh.n_vertices < 1 << 16 else np.uint32)
         arrays[f"{side}-numbers"] = mesh.file_index.astype(np.uint32)
-        shapes[side] = {**_mesh_facts(mesh), "low": low.tolist(), "span": span}
+        shapes[side] = {
+            "name": mesh.name,
+            "file": Path(mesh.path).name if mesh.path else None,
+            "vertices": mesh.n_vertices,
+            "faces": mesh.n_faces,
+            "scale": finite_or_none(mesh.scale),
+            "notes": list(mesh.notes),
+            "low": low.tolist(),
+            "span": span,
+        }
     arrays["colours"] = np.rint(255 * position_colours(target.vertices, views[1])).astype(np.uint8)
     arrays["distortion"] = correspondence.distortion.astype(np.float32)
     arrays["rotation"] = correspondence.rotation.astype(np.float32)
@@ -130,25 +138,12 @@ def _history(correspondence: Correspondence) -> dict[str, list[float | None]]:
 
 def _evaluation(evaluation: Evaluation) -> dict[str, Any]:
     values = evaluation.as_dict()
+    measured = {name: getattr(evaluation, name) for name in ("exact", "mean", "median", "mirrored_mean")}
+    measured["area_under_curve"] = evaluation.area_under_curve()
     return {
         "points": values["points"],
         "distances": values["distances"],
-        "exact": finite_or_none(evaluation.exact),
-        "mean": finite_or_none(evaluation.mean),
-        "median": finite_or_none(evaluation.median),
-        "mirrored_mean": None if evaluation.mirrored_mean is None else finite_or_none(evaluation.mirrored_mean),
-        "area_under_curve": finite_or_none(evaluation.area_under_curve()),
+        **{name: None if value is None else finite_or_none(value) for name, value in measured.items()},
         "threshold": values["curve"]["threshold"],
         "share": values["curve"]["per_sqrt_area"],
-    }
-
-
-def _mesh_facts(mesh: Mesh) -> dict[str, Any]:
-    return {
-        "name": mesh.name,
-        "file": Path(mesh.path).name if mesh.path else None,
-        "vertices": mesh.n_vertices,
-        "faces": mesh.n_faces,
-        "scale": finite_or_none(mesh.scale),
-        "notes": list(mesh.notes),
     }
