@@ -78,10 +78,8 @@ class Measured:
 def measurements(draw: Draw | None, watch: Callable[[Measured], None] = lambda _: None) -> list[Measured]:
     """Measure generated pairs of all `SIZES`, all `VARIANTS`, and the bundled pair.
 
-    Parameters
-    ----------
-    draw : writes what ``clalign match`` writes beside the result into a folder; drawn are pairs with default options.
-    watch : called after every match.
+    `draw` writes what ``clalign match`` writes beside the result into a folder, of pairs with default options; `watch`
+    is called after every match.
     """
     found = []
     for precision in ("single", "double"):

@@ -206,26 +206,21 @@ def measured(
 
 def _truth(source: Path, target: Path) -> TruthFiles:
     mirror = source.parent / "mirror.txt"
-    lines = [path.with_name(f"{path.stem}.truth.txt") for path in (source, target)]
-    if all(path.is_file() for path in lines):
-        return TruthFiles("lines", lines[0], lines[1], mirror if mirror.is_file() else None)
-    return TruthFiles("identity", mirror=mirror if mirror.is_file() else None)
+    known = mirror if mirror.is_file() else None
+    own, other = (path.with_name(f"{path.stem}.truth.txt") for path in (source, target))
+    files = TruthFiles(own, other, known)
+    return TruthFiles(mirror=known) if files.missing() else files
 
 
 def error_rows(name: str, collection: Collection, points: int) -> list[Errors]:
     """Return the errors of a run: of the maps as matched, and of those that it ends with."""
     store = collection.store
-    matched = [row for row in direct_rows(collection) if row.ok]
-    final = [row for row in collection.pairs if row.ok]
     return [
-        measured(
-            f"{name}, as matched",
-            collection,
-            matched,
-            lambda row: store.read_maps("pairs", row.source, row.target),
-            points,
-        ),
-        measured(f"{name}, consistent", collection, final, store.final_maps, points),
+        measured(f"{name}, {kind}", collection, [row for row in rows if row.ok], maps_of, points)
+        for kind, rows, maps_of in (
+            ("as matched", direct_rows(collection), lambda row: store.read_maps("pairs", row.source, row.target)),
+            ("consistent", collection.pairs, store.final_maps),
+        )
     ]
 
 
@@ -281,26 +276,19 @@ class Costs:
     def table(self, pairs: float = 1e6, workers: int = 100) -> str:
         """Return what so many pairs would cost, all of them matched."""
         shapes = (1 + math.sqrt(1 + 8 * pairs)) / 2
-        network = min(NETWORK_BYTES, 8 * DEFAULT_LATENT**2 * pairs)
         hours = (shapes * self.shape_seconds + pairs * self.pair_seconds) / workers / 3600
+        work = f"{self.shape_seconds:.2f} s a shape, {self.pair_seconds:.2f} s a pair"
+        network_one, loaded = 8 * DEFAULT_LATENT**2, pairs * self.loaded * self.shape_bytes
         rows = [
             ("shapes", "1", f"{shapes:.0f}"),
-            (
-                "work",
-                f"{self.shape_seconds:.2f} s a shape, {self.pair_seconds:.2f} s a pair",
-                f"{hours * workers:.0f} h",
-            ),
+            ("work", work, f"{hours * workers:.0f} h"),
             (f"time with {workers} workers", "", f"{hours:.1f} h"),
             ("memory of a worker", size_text(self.worker_memory), size_text(self.worker_memory)),
-            ("memory of the network", size_text(8 * DEFAULT_LATENT**2), size_text(network)),
+            ("memory of the network", size_text(network_one), size_text(min(NETWORK_BYTES, network_one * pairs))),
             ("disk, prepared shapes", size_text(self.shape_bytes), size_text(shapes * self.shape_bytes)),
             ("disk, pairs", size_text(self.pair_bytes), size_text(pairs * self.pair_bytes)),
             ("traffic, tasks", size_text(self.messages), size_text(pairs * self.messages)),
-            (
-                "traffic, prepared shapes",
-                f"{self.loaded:.2f} a pair",
-                size_text(pairs * self.loaded * self.shape_bytes),
-            ),
+            ("traffic, prepared shapes", f"{self.loaded:.2f} a pair", size_text(loaded)),
         ]
         return markdown_table(("what", "one", f"{pairs:.0e} pairs"), rows, text_columns=3)
 

@@ -101,20 +101,7 @@ class Case:
 def measure_kernels(
     kernels: Kernels, sizes: Sequence[Size] = SIZES, repeats: int = 5, seed: int = 0
 ) -> Iterator[KernelRate]:
-    """Time the ceilings of the device, then every kernel at every size.
-
-    Parameters
-    ----------
-    kernels : an open backend.
-    sizes : problem sizes.
-    repeats : the best of so many runs counts.
-    seed : of the random values.
-
-    Yields
-    ------
-    KernelRate
-        As they are measured.
-    """
+    """Time the ceilings of the device, then every kernel at every size; of each the best of `repeats` counts."""
     rng = np.random.default_rng(seed)
     yield from (measure(kernels, case, repeats) for case in ceilings(kernels, rng))
     for size in sizes:
@@ -264,24 +251,10 @@ def search_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Iter
     distance: Run = lambda: kernels.map_distance(dx, w, candidates, out=between)  # noqa: E731
     some = index[:, :16]
     label, share = f"{maps} maps of {m}", 16 / maps
-    yield Case(
-        "distortion_batch",
-        label,
-        4.0 * m * m * maps,
-        batch,
-        "numpy",
-        lambda: twin.distortion_batch(*host, weights, some),
-        share,
-    )
-    yield Case(
-        "map_distance",
-        label,
-        2.0 * m * maps * maps,
-        distance,
-        "numpy",
-        lambda: twin.map_distance(host[0], weights, some),
-        share**2,
-    )
+    batch_twin: Run = lambda: twin.distortion_batch(*host, weights, some)  # noqa: E731
+    distance_twin: Run = lambda: twin.map_distance(host[0], weights, some)  # noqa: E731
+    yield Case("distortion_batch", label, 4.0 * m * m * maps, batch, "numpy", batch_twin, share)
+    yield Case("map_distance", label, 2.0 * m * maps * maps, distance, "numpy", distance_twin, share**2)
 
 
 def objective_case(kernels: Kernels, size: Size, rng: np.random.Generator) -> Case:
@@ -302,12 +275,7 @@ def _alignment_work(band: Band) -> float:
 
 
 def kernel_table(rates: Sequence[KernelRate]) -> str:
-    """Return a Markdown table: each kernel over numpy and over what the device reaches at best in the same unit.
-
-    Parameters
-    ----------
-    rates : as `measure_kernels` yields them, ceilings first: a copy for GB/s, a large product for GFLOP/s.
-    """
+    """Return a Markdown table: each kernel over numpy and over the first rate of its unit, the device's ceiling."""
     ceilings: dict[str, float] = {}
     for rate in rates:
         ceilings.setdefault(rate.unit, rate.rate)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import combinations, groupby
 from pathlib import Path
 
 from clalign.benchmark.pairs import BenchmarkPair, Pair, TruthFiles
@@ -64,10 +64,14 @@ def humans(path: str | Path, pairs: str | Path | None = None) -> tuple[Layout, .
     listings = [(folder, listing) for folder in folders for listing in sorted(folder.glob("pairs*.txt"), reverse=True)]
     if listings:
         return tuple(_listed_layout(folder, listing) for folder, listing in listings)
-    layouts = tuple(_first_against_others(folder, folder.name) for folder in folders if _meshes(folder))
+    layouts = []
+    for folder in folders:
+        first, *others = list(_meshes(folder)) or [""]
+        if first:
+            layouts.append(_human_layout(folder, folder.name, [(first, other) for other in others]))
     if not layouts:
         raise ResultError(f"{root}: no mesh file here or one folder below ({', '.join(SUFFIXES)})")
-    return layouts
+    return tuple(layouts)
 
 
 def animals(path: str | Path) -> tuple[Layout, ...]:
@@ -83,9 +87,8 @@ def animals(path: str | Path) -> tuple[Layout, ...]:
     layouts = []
     for folder in folders:
         meshes = _meshes(folder)
-        names = [(a, b) for i, a in enumerate(meshes) for b in list(meshes)[i + 1 :]]
-        if names:
-            layouts.append(_layout(folder.name, meshes, names, _identity_truth(folder), shuffle=True))
+        if len(meshes) > 1:
+            layouts.append(_layout(folder, folder.name, meshes, combinations(meshes, 2)))
     if not layouts:
         raise ResultError(f"{root}: no folder with two or more frames ({', '.join(SUFFIXES)})")
     return tuple(layouts)
@@ -117,13 +120,11 @@ def faust(root: str | Path, pairs: str | Path = "intra") -> tuple[Layout, ...]:
     if not meshes:
         raise ResultError(f"{folder}: no tr_reg_*.ply, *.off or *.ply here or in {', '.join(MESH_FOLDERS[1:])}")
     mesh_folder = next(iter(meshes.values())).parent
-    corres = next((found for name in VTS_FOLDERS if (found := mesh_folder / name).is_dir()), None)
-    corres = corres or next((found for name in VTS_FOLDERS if (found := folder / name).is_dir()), None)
+    places = [base / name for base in (mesh_folder, folder) for name in VTS_FOLDERS]
+    corres = next((place for place in places if place.is_dir()), None)
     names, label = _faust_names(folder, meshes, pairs)
-    truths: TruthFiles | dict[str, TruthFiles] = _identity_truth(folder)
-    if corres is not None:
-        truths = {name: TruthFiles("lines", corres / f"{name}.vts", None, _mirror_file(folder)) for name in meshes}
-    layout = _layout(f"{folder.name}/{label}", meshes, names, truths, shuffle=corres is None)
+    truth_file = None if corres is None else lambda mesh: corres / f"{mesh}.vts"
+    layout = _layout(folder, f"{folder.name}/{label}", meshes, names, truth_file)
     return (dataclasses.replace(layout, problems=_absent_registrations(meshes) + layout.problems),)
 
 
@@ -147,7 +148,13 @@ def _faust_names(folder: Path, meshes: dict[str, Path], pairs: str | Path) -> tu
         listing = _find_pairs_file(folder, Path(pairs))
         return [(_mesh_name(a), _mesh_name(b)) for a, b in read_pairs_file(listing)], listing.stem
     if not any(re.fullmatch(r"tr_reg_\d{3}", name) for name in meshes):
-        return _class_names(sorted(meshes, key=_class_and_number), str(pairs)), str(pairs)
+        if pairs == "inter":
+            raise ResultError(
+                "classes of one connectivity have no truth between them: use --pairs intra or a pairs file"
+            )
+        classes = groupby(sorted(meshes, key=_class_and_number), key=lambda name: _class_and_number(name)[0])
+        firsts = [(next(members), list(members)) for _, members in classes]
+        return [(first, other) for first, others in firsts for other in others], str(pairs)
     subjects = sorted({int(name[-3:]) // 10 for name in meshes if re.fullmatch(r"tr_reg_\d{3}", name)})
     if pairs == "intra":
         numbers = [(10 * s, 10 * s + pose) for s in subjects for pose in range(1, 10)]
@@ -158,18 +165,10 @@ def _faust_names(folder: Path, meshes: dict[str, Path], pairs: str | Path) -> tu
 
 def _absent_registrations(meshes: Iterable[str]) -> tuple[str, ...]:
     """Say how many of FAUST's 100 meshes are not there; other data sets have no fixed number."""
-    present = set(meshes)
-    absent = [name for number in range(FAUST_MESHES) if (name := f"tr_reg_{number:03d}") not in present]
-    if len(absent) == FAUST_MESHES or not absent:
+    absent = sorted({f"tr_reg_{number:03d}" for number in range(FAUST_MESHES)}.difference(meshes))
+    if not 0 < len(absent) < FAUST_MESHES:
         return ()
     return (f"{len(absent)} of FAUST's {FAUST_MESHES} meshes are absent ({absent[0]} … {absent[-1]})",)
-
-
-def _class_names(ordered: Sequence[str], pairs: str) -> list[tuple[str, str]]:
-    classes = [list(members) for _, members in groupby(ordered, key=lambda name: _class_and_number(name)[0])]
-    if pairs == "inter":
-        raise ResultError("classes of one connectivity have no truth between them: use --pairs intra or a pairs file")
-    return [(members[0], other) for members in classes for other in members[1:]]
 
 
 def _class_and_number(name: str) -> tuple[str, int]:
@@ -183,76 +182,53 @@ def _mesh_name(word: str) -> str:
     return f"tr_reg_{int(stem):03d}" if stem.isdigit() else stem
 
 
+def _human_layout(folder: Path, name: str, names: Iterable[tuple[str, str]]) -> Layout:
+    if any(folder.glob("*.truth.txt")):
+        return _layout(folder, name, _meshes(folder), names, lambda mesh: folder / f"{mesh}.truth.txt")
+    if (folder / "corres").is_dir():
+        raise ResultError(f"{folder}: the truth is in corres/*.vts, which 'clalign bench faust --root' reads")
+    return _layout(folder, name, _meshes(folder), names)
+
+
 def _listed_layout(folder: Path, listing: Path) -> Layout:
     names = [(mesh_stem(a), mesh_stem(b)) for a, b in read_pairs_file(listing)]
-    meshes = _meshes(folder)
-    truths = _human_truth(folder, meshes)
-    return _layout(f"{folder.name}/{listing.stem}", meshes, names, truths, shuffle=isinstance(truths, TruthFiles))
-
-
-def _first_against_others(folder: Path, name: str) -> Layout:
-    meshes = _meshes(folder)
-    truths = _human_truth(folder, meshes)
-    first = next(iter(meshes))
-    names = [(first, other) for other in meshes if other != first]
-    return _layout(name, meshes, names, truths, shuffle=isinstance(truths, TruthFiles))
-
-
-def _human_truth(folder: Path, meshes: Iterable[str]) -> TruthFiles | dict[str, TruthFiles]:
-    if not any(folder.glob("*.truth.txt")):
-        if (folder / "corres").is_dir():
-            raise ResultError(f"{folder}: the truth is in corres/*.vts, which 'clalign bench faust --root' reads")
-        return _identity_truth(folder)
-    mirror = _mirror_file(folder)
-    return {name: TruthFiles("lines", folder / f"{name}.truth.txt", None, mirror) for name in meshes}
-
-
-def _identity_truth(folder: Path) -> TruthFiles:
-    return TruthFiles("identity", mirror=_mirror_file(folder))
-
-
-def _mirror_file(folder: Path) -> Path | None:
-    mirror = folder / "mirror.txt"
-    return mirror if mirror.is_file() else None
+    return _human_layout(folder, f"{folder.name}/{listing.stem}", names)
 
 
 def _layout(
+    folder: Path,
     name: str,
     meshes: dict[str, Path],
     names: Iterable[tuple[str, str]],
-    truths: TruthFiles | dict[str, TruthFiles],
-    *,
-    shuffle: bool,
+    truth_file: Callable[[str], Path] | None = None,
 ) -> Layout:
-    """Make the pairs; `truths` is one for all, or has the truth file of each mesh in its `source`."""
+    """Make the pairs of a folder, whose ``mirror.txt`` counts.
+
+    `truth_file` gives the file of points of a mesh. Without it vertex i is vertex i of all, and targets are shuffled.
+    """
+    mirror = folder / "mirror.txt"
+    mirror_file = mirror if mirror.is_file() else None
     pairs: list[Pair] = []
     left_out: dict[str, list[str]] = {}
     for number, (a, b) in enumerate(names):
         missing = [f"no mesh {mesh}" for mesh in (a, b) if mesh not in meshes]
         if not missing:
-            pair = Pair(
-                name=f"{a} {b}",
-                source_path=meshes[a],
-                target_path=meshes[b],
-                truth=truths if isinstance(truths, TruthFiles) else _joined(truths[a], truths[b]),
-                shuffle_seed=SHUFFLE_SEED + number if shuffle else None,
-            )
+            if truth_file is None:
+                truth, seed = TruthFiles(mirror=mirror_file), SHUFFLE_SEED + number
+            else:
+                truth, seed = TruthFiles(truth_file(a), truth_file(b), mirror_file), None
+            pair = Pair(f"{a} {b}", meshes[a], meshes[b], truth, seed)
             missing = [f"no file {path.name}" for path in pair.missing()]
-        if missing:
-            for reason in missing:
-                left_out.setdefault(reason, []).append(f"{a} {b}")
-        else:
+        if not missing:
             pairs.append(pair)
+        for reason in missing:
+            left_out.setdefault(reason, []).append(f"{a} {b}")
     problems = tuple(
         f"{name}: {reason}, so {len(skipped)} pair{'s' if len(skipped) > 1 else ''} left out "
         f"({', '.join(skipped[:3])}{', …' if len(skipped) > 3 else ''})"
         for reason, skipped in left_out.items()
     )
     return Layout(name, tuple(pairs), problems)
-
-
-def _joined(source: TruthFiles, target: TruthFiles) -> TruthFiles:
-    return TruthFiles("lines", source.source, target.source, source.mirror)
 
 
 def _existing_folder(path: str | Path) -> Path:
@@ -272,14 +248,14 @@ def _find_pairs_file(root: Path, pairs: Path) -> Path:
 
 def _meshes(folder: Path) -> dict[str, Path]:
     """Return the mesh files of a folder by stem, in natural order (pose 2 before pose 10)."""
-    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
-    return {path.stem: path for path in sorted(files, key=lambda path: _class_and_number(path.stem))}
+    return _by_stem(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
 
 
 def _first_meshes(folder: Path, suffix: str, pattern: str) -> dict[str, Path]:
     """Return the meshes of the first of the usual folders that has any."""
-    for name in MESH_FOLDERS:
-        files = sorted((folder / name).glob(pattern + suffix)) if (folder / name).is_dir() else []
-        if files:
-            return {path.stem: path for path in sorted(files, key=lambda path: _class_and_number(path.stem))}
-    return {}
+    found = (_by_stem(sorted((folder / name).glob(pattern + suffix))) for name in MESH_FOLDERS)
+    return next(filter(None, found), {})
+
+
+def _by_stem(files: Iterable[Path]) -> dict[str, Path]:
+    return {path.stem: path for path in sorted(files, key=lambda path: _class_and_number(path.stem))}

@@ -77,13 +77,9 @@ def measure_losses(
     size: ProblemSize | None = None,
     repeats: int = 5,
 ) -> LossTimes:
-    """Time value and gradient at all sizes, the best of several, and the dense evaluation at `dense_size`.
+    """Time value and gradient at all sizes, the best of `repeats`, and the dense evaluation at `dense_size`.
 
-    Parameters
-    ----------
-    backend : an open backend.
-    sizes : vertices of each shape, among them `dense_size`.
-    repeats : evaluations at each size; the dense one runs once where it takes long.
+    `dense_size` is one of the sizes; the dense evaluation runs once where it takes long.
     """
     lengths = ProblemSize() if size is None else size
     samples = min(AlignmentOptions().samples, dense_size)
@@ -93,16 +89,8 @@ def measure_losses(
         seconds.append(_best_seconds(backend, lengths, count, 0, repeats))
         if count == dense_size:
             dense = _dense_seconds(count, lengths.basis, 1 if count > 3000 else repeats)
-    return LossTimes(
-        lengths,
-        tuple(sizes),
-        tuple(seconds),
-        samples,
-        sampled,
-        dense_size,
-        dense,
-        dense_operations(dense_size, lengths),
-    )
+    operations = dense_operations(dense_size, lengths)
+    return LossTimes(lengths, tuple(sizes), tuple(seconds), samples, sampled, dense_size, dense, operations)
 
 
 def dense_operations(count: int, size: ProblemSize) -> float:
@@ -114,26 +102,17 @@ def loss_table(times: LossTimes) -> str:
     """Return the Markdown table of a measurement."""
     size = times.size
     label = f"k = {size.basis}, d = {size.scale_invariant}, N = {2 * size.rank}"
-    rows = [
-        [f"value and gradient, n = {count:,}, {label}", seconds_text(seconds), _ratio_text(times, count)]
-        for count, seconds in zip(times.vertices, times.seconds, strict=True)
-    ]
+    rows = []
+    for count, seconds in zip(times.vertices, times.seconds, strict=True):
+        ratio = f"{times.ratio:.0f}×" if count == times.dense_vertices else ""
+        rows.append([f"value and gradient, n = {count:,}, {label}", seconds_text(seconds), ratio])
     at = f"losses on {times.samples:,} samples (default of a match), n = {times.dense_vertices:,}"
     rows.append([at, seconds_text(times.sampled_seconds), f"{times.dense_seconds / times.sampled_seconds:.0f}×"])
     rate = times.dense_operations / times.dense_seconds / 1e9
-    rows.append(
-        [
-            f"dense P and D in numpy (float32, {rate:.0f} GFLOP/s), n = {times.dense_vertices:,}",
-            seconds_text(times.dense_seconds),
-            "1×",
-        ]
-    )
+    dense = f"dense P and D in numpy (float32, {rate:.0f} GFLOP/s), n = {times.dense_vertices:,}"
+    rows.append([dense, seconds_text(times.dense_seconds), "1×"])
     rows.append(["fitted exponent", exponent_text(times.exponent), ""])
     return markdown_table(["evaluation", "time", "faster than dense"], rows)
-
-
-def _ratio_text(times: LossTimes, count: int) -> str:
-    return f"{times.ratio:.0f}×" if count == times.dense_vertices else ""
 
 
 def synthetic_problem(
@@ -223,11 +202,8 @@ def _dense_seconds(count: int, size: int, repeats: int) -> float:
     def values(*shape: int) -> Single:
         return rng.standard_normal(shape, dtype=np.float32)
 
-    functional, basis_x, basis_y = values(size, size), values(count, size), values(count, size)
+    bases = values(size, size), values(count, size), values(count, size)
     mass = np.full(count, 1.0 / count, np.float32)
     # Not symmetric, which the time of a product does not depend on.
-    distances_x, distances_y = values(count, count), values(count, count)
-    return min(
-        elapsed(lambda: dense_evaluation(functional, basis_x, basis_y, mass, distances_x, distances_y))
-        for _ in range(repeats)
-    )
+    distances = values(count, count), values(count, count)
+    return min(elapsed(lambda: dense_evaluation(*bases, mass, *distances)) for _ in range(repeats))

@@ -6,7 +6,6 @@ import os
 import sys
 import threading
 from pathlib import Path
-from types import TracebackType
 
 from clalign.geometry.workers import processor_count
 
@@ -38,9 +37,7 @@ class PeakMemory:
             self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -60,7 +57,7 @@ class PeakMemory:
         present = {entry for entry in os.listdir(PROCESSES) if entry.isdecimal()}
         # A process that is being started has the memory of its parent for a moment, so it counts from the second look.
         for number in (present & self._seen) - self._children.keys():
-            self._children[number] = _parent(number) == self._own
+            self._children[number] = _status(number, "PPid") == self._own
         self._children = {number: child for number, child in self._children.items() if number in present}
         self._seen = present
         family = [self._own, *(number for number, child in self._children.items() if child)]
@@ -75,21 +72,13 @@ def _status_bytes(number: str, wanted: str) -> int:
     return 1024 * int((_status(number, wanted) or "0").split()[0])
 
 
-def _parent(number: str) -> str | None:
-    return _status(number, "PPid")
-
-
 def _status(number: str, wanted: str) -> str | None:
     """Return a line of a process's status; None where it is gone, or has ended and holds nothing."""
     try:
         text = (PROCESSES / number / "status").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return None
-    for line in text.splitlines():
-        name, _, value = line.partition(":")
-        if name == wanted:
-            return value.strip()
-    return None
+    return next((line.split(":")[1].strip() for line in text.splitlines() if line.startswith(f"{wanted}:")), None)
 
 
 def _bound() -> int | None:

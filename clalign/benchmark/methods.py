@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float, str], None]
 Watch = Callable[[str], Progress]
+MethodRuns = Callable[[str], "Correspondence"]
 FromTruth = Literal["", "isometric", "signs"]
 
 #: The methods with a short name: what it stands for, beginning with a preset, and the label in figures.
@@ -243,8 +244,17 @@ def method_label(text: str) -> str:
     return NAMED[text][1] if text in NAMED else text.partition("+")[0].rpartition("=")[0] or text
 
 
-class MethodRuns:
-    """Matches of one pair by several of our methods, each computed when it is first asked for.
+def method_runs(
+    pair: LoadedPair,
+    changes: Mapping[str, Any],
+    *,
+    cache: ShapeCache | None = None,
+    watch: Watch | None = None,
+    known: Mapping[str, Correspondence] | None = None,
+) -> MethodRuns:
+    """Return a function from the text of a method to its match of one pair, computed when it is first asked for.
+
+    Warnings of a match are not raised, since a variant is expected to fail here and there; they are in the result.
 
     Parameters
     ----------
@@ -254,39 +264,18 @@ class MethodRuns:
     watch : called with the method that is about to run; returns its progress callback.
     known : matches that are there already.
     """
+    done = dict(known or {})
 
-    def __init__(
-        self,
-        pair: LoadedPair,
-        changes: Mapping[str, Any],
-        *,
-        cache: ShapeCache | None = None,
-        watch: Watch | None = None,
-        known: Mapping[str, Correspondence] | None = None,
-    ) -> None:
-        self.pair = pair
-        self._changes = dict(changes)
-        self._cache = cache
-        self._watch = watch
-        self._done = dict(known or {})
-
-    def __call__(self, text: str) -> Correspondence:
-        """Return the match by one method.
-
-        Its warnings are not raised, since a variant is expected to fail here and there; they are in the result.
-
-        Raises
-        ------
-        OptionError
-            No such method, or a change that no option takes.
-        """
-        if text not in self._done:
-            method = align_method(text, self._changes)
-            progress = None if self._watch is None else self._watch(text)
+    def result(text: str) -> Correspondence:
+        if text not in done:
+            method = align_method(text, changes)
+            progress = None if watch is None else watch(text)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ClalignWarning)
-                self._done[text] = uninterrupted(method.correspondence(self.pair, self._cache, progress))
-        return self._done[text]
+                done[text] = uninterrupted(method.correspondence(pair, cache, progress))
+        return done[text]
+
+    return result
 
 
 def digest(values: Mapping[str, Any]) -> str:

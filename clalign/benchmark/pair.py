@@ -61,11 +61,7 @@ class ScaleTime:
 
 
 def timed_process(request: Request, label: str, environment: Mapping[str, str]) -> PairTime:
-    """Run one match in a new process.
-
-    Parameters
-    ----------
-    environment : variables to change in that process.
+    """Run one match in a new process, with some variables of its environment changed.
 
     Raises
     ------
@@ -108,7 +104,6 @@ def measure_pair(
 
     Parameters
     ----------
-    source, target : mesh files.
     repeats : rounds of cold and warm (and of pyFM); of each the run of median time is returned.
     peer : whether pyFM matches the pair as well, in the same rounds.
     watch : called after every match.
@@ -134,23 +129,15 @@ def measure_pair(
             run("warm cache", cache=cache)
             if peer:
                 run("pyFM", method="pyfm")
-    return [_median(times) for times in runs.values()]
-
-
-def _median(times: Sequence[PairTime]) -> PairTime:
-    return sorted(times, key=lambda one: one.seconds)[(len(times) - 1) // 2]
+    return [sorted(times, key=lambda one: one.seconds)[(len(times) - 1) // 2] for times in runs.values()]
 
 
 def measure_scale(
     sizes: Sequence[int], options: Options, seed: int = 0, watch: Callable[[ScaleTime], None] = lambda _: None
 ) -> list[ScaleTime]:
-    """Time generated pairs of several sizes without a shape cache, programs being built beforehand.
+    """Time generated pairs of several numbers of vertices without a shape cache, programs being built beforehand.
 
-    Parameters
-    ----------
-    sizes : vertices of each mesh.
-    seed : of the body and its meshes.
-    watch : called after every match.
+    `watch` is called after every match.
     """
     times = []
     with _empty_driver_caches() as environment:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 from clalign.benchmark.perturb import renumber
 from clalign.errors import ResultError
@@ -16,12 +16,10 @@ from clalign.mesh.mesh import Mesh, load_mesh
 class TruthFiles:
     """Where the truth of a pair is.
 
-    kind : "identity" (vertex i ↔ vertex i) or "lines" (line i of two files is the same point; ``.vts`` is 1-based).
-    source, target : the two files of "lines".
+    source, target : two files whose line i is the same point (``.vts`` is 1-based); None for vertex i ↔ vertex i.
     mirror : file whose line i is the mirror image of line i, or None.
     """
 
-    kind: Literal["identity", "lines"] = "identity"
     source: Path | None = None
     target: Path | None = None
     mirror: Path | None = None
@@ -36,9 +34,9 @@ class TruthFiles:
         Raises
         ------
         ResultError
-            The files are wrong, or "identity" stands between meshes of different vertex counts.
+            The files are wrong, or there are none and the meshes have different vertex counts.
         """
-        if self.kind == "lines" and self.source is not None and self.target is not None:
+        if self.source is not None and self.target is not None:
             truth = read_pair_truth(
                 self.source, self.target, source_count=source.file_count, target_count=target.file_count
             )
@@ -111,6 +109,6 @@ class Pair:
         if self.shuffle_seed is not None:
             shuffled = renumber(target, self.shuffle_seed)
             target, new_of_old = shuffled.mesh, shuffled.truth.target_points
-            truth = truth.renumbered(target=new_of_old)
-            mirrored = None if mirrored is None else mirrored.renumbered(target=new_of_old)
+            truth = truth.renumbered(new_of_old)
+            mirrored = None if mirrored is None else mirrored.renumbered(new_of_old)
         return LoadedPair(self.name, source, target, truth, mirrored)

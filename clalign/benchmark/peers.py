@@ -6,6 +6,7 @@ import contextlib
 import io
 import time
 from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
@@ -72,8 +73,6 @@ class PyfmMethod:
 
 def _pyfm_version() -> str:
     try:
-        from importlib.metadata import PackageNotFoundError, version
-
         return version("pyfmaps")
     except PackageNotFoundError as error:
         raise InputError(f"the comparison needs pyFM: {INSTALL}") from error

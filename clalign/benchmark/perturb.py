@@ -56,7 +56,9 @@ def noise(mesh: Mesh, amount: float = 0.2, seed: int = 0, direction: Literal["no
     """
     rng = np.random.default_rng(seed)
     vertices = mesh.file_vertices()
-    lengths = amount * mean_edge_length(vertices, mesh.faces) * rng.standard_normal(mesh.n_vertices)
+    # Each edge counts once a face.
+    edge = np.linalg.norm(vertices[mesh.faces] - vertices[np.roll(mesh.faces, 1, axis=1)], axis=2).mean()
+    lengths = amount * float(edge) * rng.standard_normal(mesh.n_vertices)
     if direction == "normal":
         directions = vertex_normals(vertices, mesh.faces)
     else:
@@ -131,12 +133,6 @@ def _nearest_on_the_same_side(
     return candidates[np.arange(len(queries)), gaps.argmin(axis=1)]
 
 
-def mean_edge_length(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> float:
-    """Mean length of the edges, each counted once a face."""
-    return float(np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2).mean())
-
-
 def _same_vertices(mesh: Mesh, vertices: NDArray[np.float64], change: str) -> Perturbed:
     changed = mesh_from_arrays(vertices, mesh.faces, f"{mesh.name} ({change})")
-    truth = Truth(mesh.file_index, changed.file_index)
-    return Perturbed(changed, truth)
+    return Perturbed(changed, Truth(mesh.file_index, changed.file_index))

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.benchmark.methods import Outcome
-from clalign.errors import ResultError
 from clalign.evaluation.errors import THRESHOLDS, Evaluation
 from clalign.storage.rows import RowFile, append_rows, complete_rows
 
@@ -69,13 +68,8 @@ class Record:
 
 def record_of(key: Key, evaluation: Evaluation, outcome: Outcome) -> Record:
     """Return the row of a pair that was matched."""
-    suite, pair, method, settings = key
-    quality = evaluation.quality
     return Record(
-        suite=suite,
-        pair=pair,
-        method=method,
-        settings=settings,
+        *key,
         status="ok",
         mean=evaluation.mean,
         median=evaluation.median,
@@ -88,10 +82,7 @@ def record_of(key: Key, evaluation: Evaluation, outcome: Outcome) -> Record:
         mirrored_mean=evaluation.mirrored_mean,
         flipped=evaluation.flipped,
         subvertex_mean=evaluation.subvertex_mean,
-        covered_vertices=quality.covered_vertices,
-        covered_area=quality.covered_area,
-        dirichlet=quality.dirichlet,
-        stretch=quality.stretch,
+        **asdict(evaluation.quality),
         unmatched=evaluation.unmatched,
         points=int(evaluation.points.size),
         confidence=outcome.confidence,
@@ -103,35 +94,14 @@ def record_of(key: Key, evaluation: Evaluation, outcome: Outcome) -> Record:
 
 def failed_record(key: Key, reason: str) -> Record:
     """Return the row of a pair without a map."""
-    suite, pair, method, settings = key
-    return Record(suite, pair, method, settings, status="failed", message=reason)
+    return Record(*key, status="failed", message=reason)
 
 
-class RecordFile:
-    """``pairs.csv`` and ``curves.csv`` of a folder, to which a run adds each pair as soon as it is known.
-
-    Raises
-    ------
-    ResultError
-        The folder cannot be made.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ResultError(f"{folder}: cannot make this folder ({error.strerror})") from error
-        self._folder = folder
-
-    def read(self) -> list[Record]:
-        """Return all rows, the last one of each key; see `read_records`."""
-        return list({record.key: record for record in read_records(self._folder)}.values())
-
-    def append(self, record: Record, curves: dict[str, NDArray[np.float64]]) -> None:
-        """Write the curves (by unit) and then the row, so that a row that is there has its curves."""
-        rows = [[*record.key, unit, *(f"{share:.5f}" for share in curve)] for unit, curve in curves.items()]
-        append_rows(self._folder / CURVES_FILE, _CURVES_HEADER, rows)
-        RowFile(self._folder / RECORDS_FILE, Record).append(record)
+def append_record(folder: Path, record: Record, curves: dict[str, NDArray[np.float64]]) -> None:
+    """Write the curves (by unit) and then the row, so that a row that is there has its curves."""
+    rows = [[*record.key, unit, *(f"{share:.5f}" for share in curve)] for unit, curve in curves.items()]
+    append_rows(folder / CURVES_FILE, _CURVES_HEADER, rows)
+    RowFile(folder / RECORDS_FILE, Record).append(record)
 
 
 def read_records(folder: Path) -> list[Record]:

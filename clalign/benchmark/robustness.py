@@ -56,7 +56,7 @@ class ChangedPair:
         source = load_mesh(self.path)
         changed = CHANGES[self.change](source)
         shuffled = perturb.renumber(changed.mesh)
-        truth = changed.truth.renumbered(target=shuffled.truth.target_points)
+        truth = changed.truth.renumbered(shuffled.truth.target_points)
         mirrored = None
         if self.mirror is not None:
             truth, mirrored = _with_mirrored(truth, read_mirror(self.mirror, count=source.file_count))
@@ -88,14 +88,9 @@ def robustness(path: str | Path, changes: Sequence[str] = DEFAULT_CHANGES) -> tu
         raise OptionError(f"unknown change {unknown[0]!r}; there are {', '.join(CHANGES)}")
     folder, meshes = mesh_files(path)
     mirror = folder / "mirror.txt"
-    return tuple(
-        Layout(
-            f"{folder.name}/{change}",
-            tuple(
-                ChangedPair(f"{name} {change}", mesh, change, mirror if mirror.is_file() else None)
-                for name, mesh in meshes.items()
-            ),
-            (),
-        )
-        for change in changes
-    )
+    known = mirror if mirror.is_file() else None
+    layouts = []
+    for change in changes:
+        pairs = tuple(ChangedPair(f"{name} {change}", mesh, change, known) for name, mesh in meshes.items())
+        layouts.append(Layout(f"{folder.name}/{change}", pairs, ()))
+    return tuple(layouts)

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from clalign.benchmark.layouts import Layout
 from clalign.benchmark.methods import Method
 from clalign.benchmark.pairs import BenchmarkPair
-from clalign.benchmark.records import Key, Record, RecordFile, failed_record, record_of
-from clalign.errors import ClalignError, OptionError
+from clalign.benchmark.records import Key, Record, append_record, failed_record, read_records, record_of
+from clalign.errors import ClalignError, OptionError, ResultError
 from clalign.evaluation.distances import DistanceMethod
 from clalign.evaluation.errors import evaluate
 from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE, environment
@@ -109,7 +109,7 @@ def run(
     OptionError
         `jobs` is below 1, or two methods have one name.
     ResultError
-        ``pairs.csv`` is there but of another kind.
+        The folder cannot be made, or its ``pairs.csv`` is of another kind.
     """
     if jobs < 1:
         raise OptionError(f"jobs must be at least 1, got {jobs}")
@@ -119,15 +119,20 @@ def run(
     how = measurement or Measurement()
     pairs = [(layout.name, pair) for layout in layouts for pair in layout.pairs]
     trials = [Trial(suite, pair, method, how) for suite, pair in pairs for method in methods]
-    file = RecordFile(Path(folder))
-    done = {record.key: record for record in file.read() if resume and not record.failed}
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ResultError(f"{folder}: cannot make this folder ({error.strerror})") from error
+    known = {record.key: record for record in read_records(folder)}
+    done = {key: record for key, record in known.items() if resume and not record.failed}
     waiting = [trial for trial in trials if trial.key not in done]
     count = len(trials) - len(waiting)
     logger.info("%d pairs, %d of them already in %s", len(trials), count, folder)
-    results = _in_this_process(waiting) if jobs == 1 else _in_processes(waiting, jobs)
+    results = (measure(trial) for trial in waiting) if jobs == 1 else _in_processes(waiting, jobs)
     with _tidy_termination() if jobs > 1 else contextlib.nullcontext(), contextlib.closing(results):
         for record, curves in results:
-            file.append(record, curves)
+            append_record(folder, record, curves)
             done[record.key] = record
             count += 1
             if progress is not None:
@@ -160,11 +165,6 @@ def measure(trial: Trial) -> tuple[Record, Curves]:
         return failed_record(trial.key, f"{type(error).__name__}: {error}"), {}
     curves = {"sqrt_area": evaluation.curve(), "diameter": evaluation.curve(per_diameter=True)}
     return record_of(trial.key, evaluation, outcome), curves
-
-
-def _in_this_process(trials: Sequence[Trial]) -> Generator[tuple[Record, Curves]]:
-    for trial in trials:
-        yield measure(trial)
 
 
 def _in_processes(trials: Sequence[Trial], jobs: int) -> Generator[tuple[Record, Curves]]:

@@ -137,7 +137,7 @@ def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: 
 
 def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
     """Read the pair, its truth and what is matched already."""
-    from clalign.benchmark.methods import MethodRuns, split_list
+    from clalign.benchmark.methods import method_runs, split_list
     from clalign.errors import OptionError
     from clalign.geometry.cache import ShapeCache
     from clalign.options import Options
@@ -157,7 +157,7 @@ def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
         raise OptionError("--set changes nothing of a result that is there: name the two meshes instead")
     default = Options()
     comparable = known is None or dataclasses.replace(known.options, engine=default.engine, seed=0) == default
-    runs = MethodRuns(
+    runs = method_runs(
         pair,
         changes,
         cache=None if args.no_cache else ShapeCache(),

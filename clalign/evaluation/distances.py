@@ -43,21 +43,17 @@ class Distances:
             row = np.maximum(row, np.linalg.norm(self._mesh.vertices - self._mesh.vertices[vertex], axis=1))
         return row
 
-    def from_matches(
-        self, matches: NDArray[np.int64], truth: NDArray[np.int64], mirrored: NDArray[np.int64] | None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-        """Return (p,) distances from matched vertices to the true ones, and to the mirrored ones where given.
+    def from_matches(self, matches: NDArray[np.int64], *truths: NDArray[np.int64]) -> list[NDArray[np.float64]]:
+        """Return (p,) distances from matched vertices to the true ones, of each of several truths (p,).
 
-        One row from the match serves both, and points with one match share it.
+        One row from the match serves all, and points with one match share it.
         """
-        errors = np.empty(matches.size)
-        mirrored_errors = None if mirrored is None else np.empty(matches.size)
+        errors = [np.empty(matches.size) for _ in truths]
         for match, points in _grouped(matches):
             row = self.row(match)
-            errors[points] = row[truth[points]]
-            if mirrored is not None and mirrored_errors is not None:
-                mirrored_errors[points] = row[mirrored[points]]
-        return errors, mirrored_errors
+            for found, truth in zip(errors, truths, strict=True):
+                found[points] = row[truth[points]]
+        return errors
 
     def to_face_points(
         self, truth: NDArray[np.int64], corners: NDArray[np.int32], weights: NDArray[np.float64]

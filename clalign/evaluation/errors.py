@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from clalign.errors import ResultError
 from clalign.evaluation.distances import METHODS, DistanceMethod, Distances
-from clalign.evaluation.quality import MapQuality, map_quality
 from clalign.evaluation.truth import Truth
+from clalign.geometry.operators import lumped_mass, stiffness
 from clalign.mesh.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -27,6 +27,25 @@ if TYPE_CHECKING:
 THRESHOLDS: NDArray[np.float64] = np.linspace(0.0, 0.25, 251)
 QUANTILES = (0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
 DEFAULT_POINTS = 500
+
+
+@dataclass(frozen=True)
+class MapQuality:
+    """Coverage and smoothness of a vertex map.
+
+    covered_vertices : share of the target's vertices that are the match of some source vertex.
+    covered_area : share of the target's area that belongs to those vertices.
+    dirichlet : Dirichlet energy ½ Σ_k f_kᵀ W f_k of the map as a function into space, f = coordinates of the
+        matches, divided by the source's area; 1 for an isometry, larger for a map that tears.
+    stretch : mean over the source's edges of the distance between the matches of their ends, divided by the edge's
+        length; 1 for an isometry up to the targets' vertices being discrete. Both are None where no face is matched
+        as a whole.
+    """
+
+    covered_vertices: float
+    covered_area: float
+    dirichlet: float | None
+    stretch: float | None
 
 
 @dataclass(frozen=True)
@@ -169,19 +188,6 @@ def _statistics(errors: NDArray[np.float64]) -> dict[str, float]:
     return values | {"area_under_curve": area_under_curve(error_curve(errors))}
 
 
-@dataclass(frozen=True)
-class _MeasuredMap:
-    """The map and the measured truth in compact vertex numbers (those of `Mesh.vertices`)."""
-
-    target_of_source: NDArray[np.int64]
-    points: NDArray[np.int64]
-    source_points: NDArray[np.int64]
-    target_points: NDArray[np.int64]
-    mirrored_points: NDArray[np.int64] | None
-    skipped: int
-    unmatched: int
-
-
 def evaluate(
     correspondence: Correspondence | ArrayLike,
     truth: Truth,
@@ -220,25 +226,22 @@ def evaluate(
     if method not in METHODS:
         raise ResultError(f"unknown distance method {method!r}; there are {', '.join(METHODS)}")
     index, source, target, barycentric = _unpack(correspondence, source, target, barycentric)
-    measured = _measured_map(index, source, target, truth, mirrored, _chosen_lines(truth, points, seed))
+    lines = _chosen_lines(truth, points, seed)
+    target_of_source, on_surface, matched, ends = _measured_points(index, source, target, truth, mirrored, lines)
     distances = Distances(target, method)
-    matches = measured.target_of_source[measured.source_points]
-    errors, mirrored_errors = distances.from_matches(matches, measured.target_points, measured.mirrored_points)
-    subvertex_errors = None
-    if barycentric is not None:
-        faces, weights = _barycentric_at(source.file_index[measured.source_points], *barycentric, target)
-        subvertex_errors = distances.to_face_points(measured.target_points, target.faces[faces], weights)
+    matches = target_of_source[ends[0]]
+    errors, *mirrored_errors = distances.from_matches(matches, *ends[1:])
     return Evaluation(
         name=name if name is not None else f"{source.name} {target.name}",
-        points=measured.points,
+        points=lines[matched],
         errors=errors,
-        mirrored_errors=mirrored_errors,
-        subvertex_errors=subvertex_errors,
-        exact=float(np.mean(matches == measured.target_points)),
+        mirrored_errors=mirrored_errors[0] if mirrored_errors else None,
+        subvertex_errors=_subvertex_errors(distances, target, ends[1], source.file_index[ends[0]], barycentric),
+        exact=float(np.mean(matches == ends[1])),
         diameter=distances.diameter(),
-        unmatched=measured.unmatched,
-        skipped=measured.skipped,
-        quality=map_quality(source, target, measured.target_of_source),
+        unmatched=int(np.sum(on_surface & ~matched)),
+        skipped=int(np.sum(~on_surface)),
+        quality=map_quality(source, target, target_of_source),
         method=METHODS[method],
     )
 
@@ -290,47 +293,69 @@ def _chosen_lines(truth: Truth, points: int | ArrayLike | None, seed: int) -> ND
     return lines
 
 
-def _measured_map(
+def _measured_points(
     index: NDArray[np.int64],
     source: Mesh,
     target: Mesh,
     truth: Truth,
     mirrored: Truth | None,
     lines: NDArray[np.int64],
-) -> _MeasuredMap:
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_], list[NDArray[np.int64]]]:
+    """Return what is measured, in the vertex numbers of `Mesh.vertices`.
+
+    Returns
+    -------
+    The map (n,); which of the lines have all their points on the surfaces, and which of them a match too; and of the
+    latter the source, target and, where known, mirrored points.
+    """
     truth.check_against(source.file_count, target.file_count)
     if mirrored is not None:
         mirrored.check_against(source.file_count, target.file_count)
         if mirrored.count != truth.count:
             raise ResultError(f"the mirrored truth has {mirrored.count} lines and the truth {truth.count}")
-    source_vertex, target_vertex = source.vertex_of_file(), target.vertex_of_file()
     target_of_source = source.map_from_file(target, index)
     off = np.flatnonzero((source.from_file(index) >= 0) & (target_of_source < 0))
     if off.size:
         raise ResultError(f"source vertex {source.file_index[off[0]]} is matched to a target vertex that is on no face")
-    ends = [source_vertex[truth.source_points[lines]], target_vertex[truth.target_points[lines]]]
-    if mirrored is not None:
-        ends.append(target_vertex[mirrored.target_points[lines]])
+    ends = [source.vertex_of_file()[truth.source_points[lines]]]
+    ends += [target.vertex_of_file()[side.target_points[lines]] for side in (truth, mirrored) if side is not None]
     on_surface = np.logical_and.reduce([end >= 0 for end in ends])
-    has_match = on_surface & (target_of_source[ends[0]] >= 0)
-    if not has_match.any():
+    matched = on_surface & (target_of_source[ends[0]] >= 0)
+    if not matched.any():
         raise ResultError("no point of the truth is left to measure: the map has no match at any of them")
-    ends = [end[has_match] for end in ends]
-    return _MeasuredMap(
-        target_of_source,
-        lines[has_match],
-        ends[0],
-        ends[1],
-        ends[2] if mirrored is not None else None,
-        skipped=int(np.sum(~on_surface)),
-        unmatched=int(np.sum(on_surface & ~has_match)),
-    )
+    return target_of_source, on_surface, matched, [end[matched] for end in ends]
 
 
-def _barycentric_at(
-    file_vertices: NDArray[np.int64], faces: NDArray[np.integer], weights: NDArray[np.float64], target: Mesh
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    chosen = np.asarray(faces)[file_vertices].astype(np.int64)
-    if chosen.size and (chosen.min() < 0 or chosen.max() >= target.n_faces):
+def _subvertex_errors(
+    distances: Distances,
+    target: Mesh,
+    truth: NDArray[np.int64],
+    file_vertices: NDArray[np.int64],
+    barycentric: tuple[NDArray[np.integer], NDArray[np.float64]] | None,
+) -> NDArray[np.float64] | None:
+    if barycentric is None:
+        return None
+    faces, weights = (np.asarray(values)[file_vertices] for values in barycentric)
+    if faces.min() < 0 or faces.max() >= target.n_faces:
         raise ResultError(f"the sub-vertex match of a measured point names a face outside 0 … {target.n_faces - 1}")
-    return chosen, np.asarray(weights, dtype=np.float64)[file_vertices]
+    return distances.to_face_points(truth, target.faces[faces], weights)
+
+
+def map_quality(source: Mesh, target: Mesh, target_of_source: NDArray[np.int64]) -> MapQuality:
+    """Return coverage and smoothness of a map between compact vertices, (n,) int64 with -1 for none."""
+    hit = np.unique(target_of_source[target_of_source >= 0])
+    mass = lumped_mass(target.vertices, target.faces)
+    covered = hit.size / target.n_vertices, float(mass[hit].sum() / mass.sum())
+    corners = source.faces[(target_of_source[source.faces] >= 0).all(axis=1)]
+    if not corners.size:
+        return MapQuality(*covered, None, None)
+    used, local = np.unique(corners, return_inverse=True)
+    faces = local.reshape(corners.shape).astype(np.int32)
+    points = source.vertices[used]
+    images = target.vertices[target_of_source[used]]
+    area = float(lumped_mass(points, faces).sum())
+    energy = 0.5 * float(np.sum(images * (stiffness(points, faces) @ images)))
+    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    image_lengths = np.linalg.norm(images[edges[:, 0]] - images[edges[:, 1]], axis=1)
+    return MapQuality(*covered, energy / area, float(np.mean(image_lengths / lengths)))

@@ -79,15 +79,9 @@ class Truth:
             raise ResultError(f"mirror line {bad[0] + 1} says {lines[bad[0]]}, outside 0 … {self.count - 1}")
         return Truth(self.source_points, self.target_points[lines])
 
-    def renumbered(self, *, source: NDArray[np.int64] | None = None, target: NDArray[np.int64] | None = None) -> Truth:
-        """Truth after the vertices were given new numbers: ``new_of_old`` (n,) of either mesh."""
-        new_source = self.source_points if source is None else np.asarray(source)[self.source_points]
-        new_target = self.target_points if target is None else np.asarray(target)[self.target_points]
-        return Truth(new_source, new_target)
-
-    def reversed(self) -> Truth:
-        """Truth of the maps from Y to X."""
-        return Truth(self.target_points, self.source_points)
+    def renumbered(self, new_of_old: NDArray[np.int64]) -> Truth:
+        """Truth after the target's vertices were given new numbers."""
+        return Truth(self.source_points, new_of_old[self.target_points])
 
     def check_against(self, source_count: int, target_count: int) -> None:
         """Raise `ResultError` when a point is not a vertex of its mesh file."""
@@ -164,21 +158,13 @@ def read_numbers(path: str | Path) -> NDArray[np.int64]:
     numbers = np.empty(len(lines), dtype=np.int64)
     for row, line in enumerate(lines):
         try:
-            numbers[row] = _whole_number(line)
+            # "12.0" and "1.2e+01" count as whole because MATLAB writes them.
+            if not float(line).is_integer():
+                raise ValueError(line)
+            numbers[row] = int(float(line))
         except ValueError as error:
             raise ResultError(f"{path}, line {row + 1}: {line.strip()[:40]!r} is not one whole number") from error
     return numbers
-
-
-def _whole_number(text: str) -> int:
-    """Return the number; "12.0" and "1.2e+01" count as whole because MATLAB writes them."""
-    try:
-        return int(text)
-    except ValueError:
-        value = float(text)
-        if not value.is_integer():
-            raise ValueError(text) from None
-        return int(value)
 
 
 def read_index(path: str | Path, *, base: Base = 0, count: int | None = None) -> NDArray[np.int64]:
@@ -201,12 +187,10 @@ def read_index(path: str | Path, *, base: Base = 0, count: int | None = None) ->
     """
     numbers = read_numbers(path)
     first, last = int(numbers.min()), int(numbers.max())
-    if base == 1 and first < 1:
-        line = int(np.flatnonzero(numbers < 1)[0]) + 1
-        raise ResultError(f"{path}, line {line}: vertex {numbers[line - 1]} in a 1-based file; read it as 0-based")
-    if base == 0 and first < -1:
-        line = int(np.flatnonzero(numbers < -1)[0]) + 1
-        raise ResultError(f"{path}, line {line}: vertex {numbers[line - 1]} is below zero")
+    lowest, wrong = (1, "in a 1-based file; read it as 0-based") if base else (-1, "is below zero")
+    if first < lowest:
+        line = int(np.argmax(numbers < lowest)) + 1
+        raise ResultError(f"{path}, line {line}: vertex {numbers[line - 1]} {wrong}")
     if count is not None and last - base >= count:
         line = int(np.argmax(numbers)) + 1
         hint = "; it looks 1-based: say so" if base == 0 and first >= 1 and last == count else ""

@@ -8,6 +8,7 @@ vertices on the surface, so NumPy, MATLAB, pyFM and geomfum exports number verti
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,13 @@ from clalign.geometry.operators import stiffness
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.writing import save_mesh
 from clalign.presentation.camera import Up, front_view
+from clalign.presentation.picture import pair_colours
 from clalign.presentation.raster import write_png
-from clalign.transfer.colours import carried_colours, position_colours
+from clalign.transfer.colours import position_colours
 from clalign.transfer.surface_map import surface_map, vertex_map
 from clalign.transfer.texture import Texture, write_textured_obj
+
+ArraysOf = Callable[[Correspondence], dict[str, NDArray[Any]]]
 
 _TEXTURE_SIZE = 512
 _TEXTURE_SQUARES = 24
@@ -32,15 +36,12 @@ _MATERIAL = "newmtl checkers\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd texture.png\n
 
 def export_ply(correspondence: Correspondence, folder: str | Path, *, up: Up | None = None) -> list[Path]:
     """Write ``source.ply`` and ``target.ply``, coloured alike where they match. Returns the files."""
-    target = correspondence.target
-    colours = position_colours(target.vertices, front_view(target.vertices, up))
-    carried = carried_colours(colours, surface_map(correspondence))
-    written = []
-    for side, mesh, rows in (("source", correspondence.source, carried), ("target", target, colours)):
-        path = _ready(folder) / f"{side}.ply"
+    meshes = (correspondence.source, correspondence.target)
+    paths = [_ready(folder) / "source.ply", Path(folder) / "target.ply"]
+    colours = pair_colours(correspondence, front_view(correspondence.target.vertices, up))
+    for path, mesh, rows in zip(paths, meshes, colours, strict=True):
         save_mesh(path, mesh.file_positions(), mesh.file_faces, mesh.to_file(rows, 0.5))
-        written.append(path)
-    return written
+    return paths
 
 
 def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | None = None) -> list[Path]:
@@ -69,10 +70,7 @@ def export_vts(correspondence: Correspondence, folder: str | Path) -> list[Path]
     Source vertices without a match have no line.
     """
     matched = np.flatnonzero(correspondence.target_of_source >= 0)
-    folder = _ready(folder)
-    np.savetxt(folder / "source.vts", matched + 1, fmt="%d")
-    np.savetxt(folder / "target.vts", correspondence.target_of_source[matched] + 1, fmt="%d")
-    return [folder / "source.vts", folder / "target.vts"]
+    return _save_numbers(folder, {"source.vts": matched, "target.vts": correspondence.target_of_source[matched]})
 
 
 def export_map(correspondence: Correspondence, folder: str | Path) -> list[Path]:
@@ -80,10 +78,8 @@ def export_map(correspondence: Correspondence, folder: str | Path) -> list[Path]
 
     Line i holds the vertex, counted from 1, of the second shape for vertex i of the first; 0 where there is none.
     """
-    folder = _ready(folder)
-    np.savetxt(folder / "source_target.map", correspondence.target_of_source + 1, fmt="%d")
-    np.savetxt(folder / "target_source.map", correspondence.source_of_target + 1, fmt="%d")
-    return [folder / "source_target.map", folder / "target_source.map"]
+    maps = {"source_target.map": correspondence.target_of_source, "target_source.map": correspondence.source_of_target}
+    return _save_numbers(folder, maps)
 
 
 def surface_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
@@ -101,22 +97,26 @@ def surface_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
     for side in ("source", "target"):
         mesh: Mesh = getattr(correspondence, side)
         basis, invariant = getattr(correspondence, f"{side}_basis"), getattr(correspondence, f"{side}_scale_invariant")
-        arrays[f"{side}_vertices"], arrays[f"{side}_faces"] = mesh.vertices, mesh.faces
-        arrays[f"{side}_file_index"], arrays[f"{side}_mass"] = mesh.file_index, basis.mass
-        arrays[f"{side}_eigenvalues"], arrays[f"{side}_functions"] = basis.eigenvalues, basis.functions
-        arrays[f"{side}_si_eigenvalues"], arrays[f"{side}_si_functions"] = invariant.eigenvalues, invariant.functions
-        arrays[f"{side}_si_mass"] = invariant.mass
+        own = {
+            "vertices": mesh.vertices,
+            "faces": mesh.faces,
+            "file_index": mesh.file_index,
+            "mass": basis.mass,
+            "eigenvalues": basis.eigenvalues,
+            "functions": basis.functions,
+            "si_eigenvalues": invariant.eigenvalues,
+            "si_functions": invariant.functions,
+            "si_mass": invariant.mass,
+        }
+        arrays |= {f"{side}_{name}": values for name, values in own.items()}
     source, target = correspondence.source, correspondence.target
-    arrays["functional_map"], arrays["rotation"] = correspondence.functional_map, correspondence.rotation
-    arrays["target_of_source"] = vertex_map(correspondence.target_of_source, source, target).vertex
-    arrays["source_of_target"] = vertex_map(correspondence.source_of_target, target, source).vertex
-    arrays["distortion"] = correspondence.distortion
-    return arrays
-
-
-def export_numpy(correspondence: Correspondence, folder: str | Path) -> list[Path]:
-    """Write ``match.npz`` with the arrays of `surface_arrays`."""
-    return _save_arrays(_ready(folder) / "match.npz", surface_arrays(correspondence))
+    return arrays | {
+        "functional_map": correspondence.functional_map,
+        "rotation": correspondence.rotation,
+        "target_of_source": vertex_map(correspondence.target_of_source, source, target).vertex,
+        "source_of_target": vertex_map(correspondence.source_of_target, target, source).vertex,
+        "distortion": correspondence.distortion,
+    }
 
 
 def export_matlab(correspondence: Correspondence, folder: str | Path) -> list[Path]:
@@ -164,22 +164,16 @@ def pyfm_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
     """
     arrays = surface_arrays(correspondence)
     rows, columns = correspondence.functional_map.shape
-    return {
+    named = {
         "FM_12": arrays["functional_map"],
         "p2p_21": arrays["source_of_target"],
         "p2p_12": arrays["target_of_source"],
-        "evals1": arrays["source_eigenvalues"][:columns],
-        "evects1": arrays["source_functions"][:, :columns],
-        "A1": arrays["source_mass"],
-        "evals2": arrays["target_eigenvalues"][:rows],
-        "evects2": arrays["target_functions"][:, :rows],
-        "A2": arrays["target_mass"],
     }
-
-
-def export_pyfm(correspondence: Correspondence, folder: str | Path) -> list[Path]:
-    """Write ``pyfm.npz`` with the arrays of `pyfm_arrays`."""
-    return _save_arrays(_ready(folder) / "pyfm.npz", pyfm_arrays(correspondence))
+    for number, side, count in (("1", "source", columns), ("2", "target", rows)):
+        named[f"evals{number}"] = arrays[f"{side}_eigenvalues"][:count]
+        named[f"evects{number}"] = arrays[f"{side}_functions"][:, :count]
+        named[f"A{number}"] = arrays[f"{side}_mass"]
+    return named
 
 
 def to_pyfm(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.float64]]:
@@ -221,11 +215,6 @@ def geomfum_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
     return named
 
 
-def export_geomfum(correspondence: Correspondence, folder: str | Path) -> list[Path]:
-    """Write ``geomfum.npz`` with the arrays of `geomfum_arrays`."""
-    return _save_arrays(_ready(folder) / "geomfum.npz", geomfum_arrays(correspondence))
-
-
 def to_geomfum(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.float64]]:
     """Return the match as geomfum objects: shape a (the source) and shape b with their bases set, and fmap_matrix.
 
@@ -251,30 +240,6 @@ def to_geomfum(correspondence: Correspondence) -> tuple[Any, Any, NDArray[np.flo
     return made[0], made[1], arrays["fmap_matrix"]
 
 
-FORMATS: dict[str, Callable[[Correspondence, str | Path], list[Path]]] = {
-    "ply": export_ply,
-    "obj": export_obj,
-    "vts": export_vts,
-    "map": export_map,
-    "numpy": export_numpy,
-    "matlab": export_matlab,
-    "pyfm": export_pyfm,
-    "geomfum": export_geomfum,
-}
-"""The functions that write a match into a folder, by the name of the format."""
-
-
-def _ready(folder: str | Path) -> Path:
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
-def _save_arrays(path: Path, arrays: dict[str, Any]) -> list[Path]:
-    np.savez_compressed(path, **arrays)
-    return [path]
-
-
 def _matrices(mesh: Mesh, mass: NDArray[np.float64]) -> tuple[Any, Any]:
     """Return W and A of a mesh as the sparse matrices that other libraries hold."""
     import scipy.sparse
@@ -289,3 +254,35 @@ def _checkers() -> NDArray[np.uint8]:
     colours = position_colours(points, np.eye(3)).reshape(_TEXTURE_SIZE, _TEXTURE_SIZE, 3)
     dark = (np.floor(across * _TEXTURE_SQUARES) + np.floor(height * _TEXTURE_SQUARES)) % 2 == 0
     return np.rint(255 * np.where(dark[..., None], 0.62 * colours, colours)).astype(np.uint8)
+
+
+def _ready(folder: str | Path) -> Path:
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _save_numbers(folder: str | Path, files: dict[str, NDArray[np.int64]]) -> list[Path]:
+    """Write one vertex a line, counted from 1."""
+    for name, vertices in files.items():
+        np.savetxt(_ready(folder) / name, vertices + 1, fmt="%d")
+    return [Path(folder) / name for name in files]
+
+
+def _export_arrays(name: str, arrays_of: ArraysOf, correspondence: Correspondence, folder: str | Path) -> list[Path]:
+    arrays: dict[str, Any] = arrays_of(correspondence)
+    np.savez_compressed(_ready(folder) / name, **arrays)
+    return [Path(folder) / name]
+
+
+FORMATS: dict[str, Callable[[Correspondence, str | Path], list[Path]]] = {
+    "ply": export_ply,
+    "obj": export_obj,
+    "vts": export_vts,
+    "map": export_map,
+    "numpy": partial(_export_arrays, "match.npz", surface_arrays),
+    "matlab": export_matlab,
+    "pyfm": partial(_export_arrays, "pyfm.npz", pyfm_arrays),
+    "geomfum": partial(_export_arrays, "geomfum.npz", geomfum_arrays),
+}
+"""The functions that write a match into a folder, by the name of the format."""

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import base64
-import html
 import math
 
 from clalign.correspondence import Correspondence
+from clalign.presentation.html_page import rendered
 from clalign.presentation.picture import match_png
-
-_ROW = '<tr><th style="text-align:left">{}</th><td style="text-align:left">{}</td></tr>'
 
 
 def notebook_html(correspondence: Correspondence) -> str:
@@ -24,13 +22,8 @@ def notebook_html(correspondence: Correspondence) -> str:
         ("time", f"{math.fsum(correspondence.timings.values()):.1f} s"),
     ]
     rows += [("warning", text) for text in correspondence.warnings]
-    table = "".join(_ROW.format(html.escape(name), html.escape(value)) for name, value in rows)
     picture = base64.b64encode(match_png(correspondence, height=360)).decode("ascii")
-    caption = html.escape(f"{source.name} and {target.name}, coloured alike where they match")
-    return (
-        f'<div><img alt="{caption}" src="data:image/png;base64,{picture}" style="max-width:100%">'
-        f"<table>{table}</table></div>"
-    )
+    return rendered("notebook.html", source=source, target=target, rows=rows, picture=picture)
 
 
 def _known(text: str) -> str:

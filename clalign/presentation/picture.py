@@ -12,7 +12,7 @@ from clalign.correspondence import Correspondence
 from clalign.presentation.camera import Up, facing_rotation, front_view
 from clalign.presentation.raster import png_bytes, rasterise, with_word, write_png
 from clalign.transfer.colours import carried_colours, position_colours
-from clalign.transfer.surface_map import SurfaceMap, surface_map
+from clalign.transfer.surface_map import surface_map
 
 _MARGIN = 0.05
 
@@ -22,12 +22,8 @@ def save_match_picture(
 ) -> None:
     """Save a PNG of both shapes, source left, with the target's colours carried to the source by the map.
 
-    Parameters
-    ----------
-    correspondence : the match.
-    path : where to write the PNG file.
-    height : of the picture, in pixels.
-    up : coordinate axis of the target that points up, if the guess from its extent is wrong.
+    The picture is `height` pixels high; `up` is the coordinate axis of the target that points up, if the guess from its
+    extent is wrong.
     """
     write_png(path, match_image(correspondence, height=height, up=up))
 
@@ -39,30 +35,30 @@ def match_png(correspondence: Correspondence, *, height: int = 480, up: Up | Non
 
 def match_image(correspondence: Correspondence, *, height: int = 900, up: Up | None = None) -> NDArray[np.uint8]:
     """Return the picture of `save_match_picture` as an (height, width, 3) uint8 array."""
-    source, target = correspondence.source, correspondence.target
-    view = front_view(target.vertices, up)
-    to_target = surface_map(correspondence)
-    target_colours = position_colours(target.vertices, view)
-    source_colours = carried_colours(target_colours, to_target)
-    source_view = view @ map_rotation(source.vertices, target.vertices, to_target)
-    return draw_row(
-        [
-            (source.vertices @ source_view.T, source.faces, source_colours),
-            (target.vertices @ view.T, target.faces, target_colours),
-        ],
-        height,
-        words=("source", "target"),
-    )
+    meshes, views = (correspondence.source, correspondence.target), pair_views(correspondence, up)
+    shapes = [
+        (mesh.vertices @ view.T, mesh.faces, colours)
+        for mesh, view, colours in zip(meshes, views, pair_colours(correspondence, views[1]), strict=True)
+    ]
+    return draw_row(shapes, height, words=("source", "target"))
 
 
-def map_rotation(
-    source: NDArray[np.floating], target: NDArray[np.floating], to_target: SurfaceMap
-) -> NDArray[np.float64]:
-    """Return the rotation that lets the source face like the target (identity where they already do)."""
+def pair_views(correspondence: Correspondence, up: Up | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (3, 3) rotations of source and target to viewing axes in which the source faces like the target."""
+    source, target = correspondence.source.vertices, correspondence.target.vertices
+    view, to_target = front_view(target, up), surface_map(correspondence)
     matched = to_target.matched
     if np.count_nonzero(matched) < 3:
-        return np.eye(3)
-    return facing_rotation(source[matched], to_target.pull(target)[matched])
+        return view, view
+    return view @ facing_rotation(source[matched], to_target.pull(target)[matched]), view
+
+
+def pair_colours(
+    correspondence: Correspondence, view: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (n, 3) colours of source and target: by place on the target (`view` turns it), carried to the source."""
+    colours = position_colours(correspondence.target.vertices, view)
+    return carried_colours(colours, surface_map(correspondence)), colours
 
 
 def draw_row(

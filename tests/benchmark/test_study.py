@@ -21,10 +21,9 @@ from clalign.options import Options
 )
 def test_every_study_has_the_base_and_different_rows(name: str, changes: dict[str, float]) -> None:
     base = Options().replace(changes)
-    settings = study_of(name, base).settings
-    methods = methods_of(settings, base)
-    assert any(is_base(setting, base) for setting in settings)
-    assert len({setting.label for setting in settings}) == len(settings)
+    _, rows = study_of(name, base)
+    methods = methods_of(rows, base)
+    assert any(is_base(changes, base) for changes in rows.values())
     assert len({method.settings for method in methods}) == len(methods)
     assert sum(method.options == base for method in methods) == 1
     assert len(methods) >= 4
@@ -37,16 +36,16 @@ def test_unknown_study() -> None:
 
 def test_any_option_can_be_varied() -> None:
     base = Options()
-    study = study_of("alignment.decay=0.1, 0.2,0.5", base)
-    assert study.title == "alignment.decay"
-    assert [setting.label for setting in study.settings] == [f"alignment.decay = {value}" for value in (0.1, 0.2, 0.5)]
-    assert [is_base(setting, base) for setting in study.settings] == [False, True, False]
-    assert [method.options.alignment.decay for method in methods_of(study.settings, base)] == [0.1, 0.2, 0.5]
-    others = study_of("spectrum.metric=auto,euclidean", base).settings
-    assert [dict(row.changes) for row in others] == [{}, *({"spectrum.metric": m} for m in ("auto", "euclidean"))]
-    rules = [row.options.rules for row in methods_of(study_of("rules.search.finalists=12,24", base).settings, base)]
+    title, rows = study_of("alignment.decay=0.1, 0.2,0.5", base)
+    assert title == "alignment.decay"
+    assert list(rows) == [f"alignment.decay = {value}" for value in (0.1, 0.2, 0.5)]
+    assert [is_base(changes, base) for changes in rows.values()] == [False, True, False]
+    assert [method.options.alignment.decay for method in methods_of(rows, base)] == [0.1, 0.2, 0.5]
+    _, others = study_of("spectrum.metric=auto,euclidean", base)
+    assert list(others.values()) == [{}, *({"spectrum.metric": m} for m in ("auto", "euclidean"))]
+    rules = [row.options.rules for row in methods_of(study_of("rules.search.finalists=12,24", base)[1], base)]
     assert [each.search.finalists for each in rules] == [12, 24]
-    tuples = methods_of(study_of("rules.refinement.settle=(200,), (150, 250)", base).settings, base)
+    tuples = methods_of(study_of("rules.refinement.settle=(200,), (150, 250)", base)[1], base)
     assert [method.options.rules.refinement.settle for method in tuples] == [(200,), (150, 250)]
     with pytest.raises(OptionError, match=r"unknown option 'alignment\.decays'"):
         study_of("alignment.decays=1,2", base)
@@ -113,6 +112,6 @@ def test_command_varies_an_option(
 
 def test_table_repeats_the_base_for_each_of_its_rows() -> None:
     base = Options()
-    settings = study_of("samples", base).settings
-    assert sum(is_base(setting, base) for setting in settings) == 2
-    assert study_table("title", settings, [], base).count("\n") == 1
+    _, rows = study_of("samples", base)
+    assert sum(is_base(changes, base) for changes in rows.values()) == 2
+    assert study_table("title", rows, [], base).count("\n") == 1

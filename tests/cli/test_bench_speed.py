@@ -13,7 +13,7 @@ from clalign.benchmark.pair import ScaleTime
 from clalign.cli.bench.scale import parsed_sizes
 from clalign.cli.main import main
 from clalign.errors import OptionError
-from clalign.presentation.performance_plot import save_scale_plot
+from clalign.presentation.curves import save_scale_plot
 
 CHANGES = [*QUICK[3:], "--device", "reference"]
 

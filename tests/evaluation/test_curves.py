@@ -48,7 +48,7 @@ def test_many_curves_can_be_told_apart() -> None:
     rng = np.random.default_rng(0)
     figure = Figure(layout="constrained")
     axes = figure.add_subplot()
-    plot_error_curves(axes, {f"method {number}": rng.random(THRESHOLDS.size) for number in range(14)}, "diameter", 0.25)
+    plot_error_curves(axes, {f"method {number}": rng.random(THRESHOLDS.size) for number in range(14)}, "diameter")
     drawn = {(line.get_color(), line.get_linestyle()) for line in axes.lines}
     assert len(drawn) == 14
     figure.draw_without_rendering()

@@ -140,7 +140,7 @@ def test_a_second_interrupt_gives_up(match: Run, tmp_path: Path, monkeypatch: py
         "clalign.correspondence.write_map",
         "clalign.storage.folders._flush",
         "clalign.presentation.picture.match_image",
-        "clalign.presentation.report.page._page",
+        "clalign.presentation.report.page.write_page",
     ],
 )
 def test_after_the_match_it_is_written_without_the_rest(

@@ -18,8 +18,9 @@ from clalign.collection.result import Collection
 from clalign.collection.rows import PairRow, ShapeRow
 from clalign.collection.store import PairMaps, Store
 from clalign.presentation.camera import front_view
-from clalign.presentation.collection_page import matrix, write_collection_page
-from clalign.presentation.collection_page.matrix import MEASURES
+from clalign.presentation.collection_page import page as collection_page
+from clalign.presentation.collection_page import write_collection_page
+from clalign.presentation.collection_page.page import MEASURES
 from clalign.presentation.collection_page.pictures import shape_pictures
 from clalign.transfer.colours import position_colours
 
@@ -121,8 +122,8 @@ def test_colours_are_carried_by_the_maps(collection: Collection, monkeypatch: py
     chain = [row for row in collection.pairs if (row.source, row.target) in (("s0", "s1"), ("s1", "s2"))]
     part = replace(collection, pairs=tuple(chain))
     drawn = list(shape_pictures(part))
-    assert [picture.name for picture in drawn] == ["s1", "s0", "s2", "s3"]
-    assert [picture.way for picture in drawn] == [(), ("s1",), ("s1",), ()]
+    assert [name for name, _, _ in drawn] == ["s1", "s0", "s2", "s3"]
+    assert [way for _, _, way in drawn] == [(), ("s1",), ("s1",), ()]
     maps = collection.maps("s0", "s2")
     np.testing.assert_allclose(painted[1], painted[2][maps.target_of_source])
     assert np.ptp(painted[3]) == 0.0
@@ -133,7 +134,7 @@ def test_colours_are_carried_by_the_maps(collection: Collection, monkeypatch: py
 
 
 def test_large_collections_get_a_picture_of_the_matrix(collection: Collection, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matrix, "MOST_CELLS", 3)
+    monkeypatch.setattr(collection_page, "MOST_CELLS", 3)
     path = collection.folder / "large.html"
     write_collection_page(collection, path, pictures=False)
     shown = Page(path.read_text(encoding="utf-8"))

@@ -143,7 +143,9 @@ class _Plotter:
 def test_show_gives_the_viewer_matching_colours(
     run: Run, small: Correspondence, result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    library = types.SimpleNamespace(Plotter=_Plotter, PolyData=lambda points, faces: (points, faces))
+    library = types.SimpleNamespace(
+        Plotter=_Plotter, PolyData=types.SimpleNamespace(from_regular_faces=lambda *arrays: arrays)
+    )
     monkeypatch.setitem(sys.modules, "pyvista", library)
     assert run("show", result, "--screenshot", tmp_path / "shot.png") == 0
     (points, source), (_, target) = _Plotter.meshes

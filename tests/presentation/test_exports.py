@@ -59,7 +59,7 @@ def test_vts_and_map_count_from_one(small: Correspondence, tmp_path: Path) -> No
 
 
 def test_numpy_archive_is_consistent_in_itself(small: Correspondence, tmp_path: Path) -> None:
-    (path,) = exports.export_numpy(small, tmp_path)
+    (path,) = exports.FORMATS["numpy"](small, tmp_path)
     with np.load(path) as arrays:
         pulled = arrays["source_functions"][arrays["source_of_target"]]
         found = arrays["target_functions"].T @ (arrays["target_mass"][:, None] * pulled)
@@ -85,7 +85,7 @@ def test_matlab_file_counts_from_one(small: Correspondence, tmp_path: Path) -> N
 def test_pyfm_finds_the_same_maps(whole: Correspondence, tmp_path: Path) -> None:
     from pyFM import spectral
 
-    (path,) = exports.export_pyfm(whole, tmp_path)
+    (path,) = exports.FORMATS["pyfm"](whole, tmp_path)
     with np.load(path) as arrays:
         back = spectral.FM_to_p2p(arrays["FM_12"], arrays["evects1"], arrays["evects2"])
         assert np.array_equal(np.asarray(back).ravel(), whole.source_of_target)
@@ -108,7 +108,7 @@ def test_geomfum_finds_the_same_maps(whole: Correspondence, tmp_path: Path) -> N
         again = convert.FmFromP2pConverter(pseudo_inverse=True)(whole.source_of_target, shape_a.basis, shape_b.basis)
     assert np.array_equal(np.asarray(back).ravel(), whole.source_of_target)
     assert np.allclose(np.asarray(again), whole.functional_map, atol=1e-9)
-    (path,) = exports.export_geomfum(whole, tmp_path)
+    (path,) = exports.FORMATS["geomfum"](whole, tmp_path)
     with np.load(path) as arrays:
         assert np.array_equal(arrays["fmap_matrix"], fmap)
         assert np.array_equal(arrays["p2p"], whole.source_of_target)

@@ -22,10 +22,11 @@ from clalign.evaluation.spectral import spectral_errors
 from clalign.evaluation.truth import Truth, true_maps
 from clalign.maps.functional_maps import PointMaps
 from clalign.options import Options
+from clalign.presentation.curves import new_figure
 from clalign.presentation.figures.eigenfunctions import draw_eigenfunctions, draw_pair_rotation, draw_variants
 from clalign.presentation.figures.gallery import PLANS
 from clalign.presentation.figures.maps import draw_error_curves, draw_matched_colours, draw_mirrored
-from clalign.presentation.figures.sheet import AFTER, BEFORE, Drawing, Table, new_figure, panel_sheet, save_drawing
+from clalign.presentation.figures.sheet import AFTER, BEFORE, Drawing, panel_sheet, save_drawing
 from clalign.presentation.figures.spectral import draw_funnel, draw_spectral_errors, running_mean
 from clalign.presentation.figures.surfaces import PairView
 
@@ -46,7 +47,7 @@ def saved(drawing: Drawing, folder: Path) -> tuple[list[dict[str, str]], tuple[i
     assert ElementTree.fromstring(svg.read_bytes()).tag.endswith("svg")
     with table.open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
-    assert tuple(rows[0]) == drawing.table.columns
+    assert tuple(rows[0]) == drawing.columns
     return rows, struct.unpack(">II", header[16:24])
 
 
@@ -54,7 +55,7 @@ def test_panel_sheet_puts_panels_where_they_belong(tmp_path: Path) -> None:
     colours = ((250, 0, 0), (0, 250, 0)), ((0, 0, 250), (250, 0, 250))
     shades = [[np.full((120, 80, 3), colour, np.uint8) for colour in row] for row in colours]
     figure = panel_sheet(shades, columns=["a", "b"], rows=["c", "d"], notes=["e"], note_span=2, gaps_after=[0])
-    save_drawing(Drawing(figure, Table(("x",), ((1,),))), tmp_path, "sheet")
+    save_drawing(Drawing(figure, ("x",), ((1,),)), tmp_path, "sheet")
     from matplotlib.image import imread
 
     picture = np.rint(imread(tmp_path / "sheet.png")[..., :3] * 255).astype(int)
@@ -71,12 +72,12 @@ def test_saving_twice_gives_the_same_bytes_and_says_what_it_cannot_write(tmp_pat
     for name in ("first", "second"):
         figure = new_figure(2, 1)
         figure.add_subplot().plot([0, 1])
-        save_drawing(Drawing(figure, Table(("x", "y"), ((1, 0.1), ("a", None)))), tmp_path / name, "same")
+        save_drawing(Drawing(figure, ("x", "y"), ((1, 0.1), ("a", None))), tmp_path / name, "same")
     for ending in ("png", "svg", "csv"):
         assert (tmp_path / f"first/same.{ending}").read_bytes() == (tmp_path / f"second/same.{ending}").read_bytes()
     assert (tmp_path / "first/same.csv").read_text(encoding="utf-8") == "x,y\n1,0.1\na,\n"
     with pytest.raises(InputError, match="cannot be written"):
-        save_drawing(Drawing(new_figure(2, 1), Table(("x",), ())), tmp_path / "first/same.csv", "same")
+        save_drawing(Drawing(new_figure(2, 1), ("x",), ()), tmp_path / "first/same.csv", "same")
 
 
 def test_views_show_both_shapes_at_one_scale(small: Correspondence) -> None:
@@ -90,9 +91,9 @@ def test_views_show_both_shapes_at_one_scale(small: Correspondence) -> None:
 
 
 def test_opposite_functions_get_opposite_colours(small: Correspondence) -> None:
-    values = small.source_basis.functions[:, 3], small.target_basis.functions[:, 3]
-    plain = PairView.of(small).function_panels(*values, 90)
-    turned = PairView.of(small).function_panels(-values[0], values[1], 90)
+    functions = small.source_basis.functions, small.target_basis.functions
+    plain = PairView.of(small).function_panels(functions, 3, 90)
+    turned = PairView.of(small).function_panels((-functions[0], functions[1]), 3, 90)
     np.testing.assert_array_equal(plain[1], turned[1])
     red = [image[..., 0].astype(int) - image[..., 2] for image in (plain[0], turned[0])]
     assert (np.sign(red[0]) * np.sign(red[1]) <= 0).mean() > 0.9

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from clalign.benchmark.pair import measure_scale, scale_table, stage_exponents
     from clalign.benchmark.performance import bytes_text, this_machine
     from clalign.options import Options
-    from clalign.presentation.performance_plot import save_scale_plot
+    from clalign.presentation.curves import save_scale_plot
 
     sizes = parsed_sizes(args.sizes)
     options = Options.preset(args.preset).replace(option_changes(args))

@@ -21,8 +21,6 @@ from clalign.cli.terminal import Terminal
 if TYPE_CHECKING:
     from clalign.benchmark.layouts import Layout
     from clalign.benchmark.runner import Run
-    from clalign.benchmark.study import Study
-    from clalign.options import Options
 
 _DESCRIPTION = """\
 Vary one choice of the method over the pairs of a folder in the layout of the humans, all else as in the preset, and
@@ -68,7 +66,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Run the studies of the command line; 1 when a pair has no map."""
     from clalign.benchmark.runner import Measurement
-    from clalign.benchmark.study import methods_of, study_of
+    from clalign.benchmark.study import methods_of, study_of, study_table
+    from clalign.benchmark.table import summarise
     from clalign.errors import OptionError
     from clalign.options import Options
 
@@ -81,12 +80,14 @@ def run(args: argparse.Namespace) -> int:
     layouts = limited(_layouts(args), args, terminal)
     documents: dict[str, object] = {}
     failed = False
-    for name, study in studies.items():
-        methods = methods_of(study.settings, base)
+    for name, (title, rows) in studies.items():
+        methods = methods_of(rows, base)
         finished = run_methods(layouts, methods, Measurement(seed=args.seed), args, terminal)
         if finished is None:
             return EXIT_INTERRUPTED
-        documents[name] = _report(name, study, finished, base, args, terminal)
+        documents[name] = _report(
+            name, study_table(title, rows, summarise(finished.records), base), finished, args, terminal
+        )
         failed |= any(record.failed for record in finished.records)
     terminal.document(documents)
     return 1 if failed else 0
@@ -103,20 +104,17 @@ def _layouts(args: argparse.Namespace) -> tuple[Layout, ...]:
 
 
 def _report(
-    name: str, study: Study, finished: Run, base: Options, args: argparse.Namespace, terminal: Terminal
+    name: str, text: str, finished: Run, args: argparse.Namespace, terminal: Terminal
 ) -> list[dict[str, object]]:
     """Write and show the table of one study, and return its summaries as plain values."""
     from dataclasses import asdict
 
-    from clalign.benchmark.study import study_table
     from clalign.benchmark.table import failures, summarise, update_file
 
-    summaries = summarise(finished.records)
-    text = study_table(study.title, study.settings, summaries, base)
     (args.out / f"study-{name}.md").write_text(text + "\n", encoding="utf-8")
     for failure in failures(finished.records):
         terminal.warn(failure)
     terminal.say(text)
     for page in args.update:
         update_file(page, f"{args.section}-{name}", text)
-    return [asdict(summary) for summary in summaries]
+    return [asdict(summary) for summary in summarise(finished.records)]

@@ -1,25 +1,58 @@
-"""Writes the page of a collection, with the pictures of its shapes beside it."""
+"""Writes the page of a collection, with the pictures of its shapes beside it.
+
+The matrix of all pairs is a table of coloured links, or a picture where the shapes are too many for one.
+"""
 
 from __future__ import annotations
 
-import html
+import base64
+from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
+
+import numpy as np
 
 from clalign.collection.result import Collection
 from clalign.collection.rows import PairRow
 from clalign.correspondence import Correspondence
-from clalign.presentation.collection_page.matrix import PAGE_FILE, legends, matrix, page_link, switches
 from clalign.presentation.collection_page.pictures import shape_pictures
-from clalign.presentation.html_page import file_text, fill, head, write_page
-from clalign.presentation.raster import write_png
+from clalign.presentation.html_page import write_page
+from clalign.presentation.raster import png_bytes, write_png
 from clalign.presentation.report import write_report
+from clalign.transfer.colours import RAMPS, amount_colours
 
+PAGE_FILE = "report.html"
 PICTURE_FOLDER = "pictures"
+MOST_CELLS = 100
+"""Shapes up to which every pair has a cell of its own; a larger table would take a browser too long."""
 
-_REPORT = "clalign.presentation.report"
 _PAIR_FUNCTIONS = 8
 _MOST_LISTED = 30
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number of each pair that the matrix can be coloured by; `low` and `high` get the ends of the colours."""
+
+    name: str
+    field: str
+    label: str
+    hint: str
+    low: float
+    high: float
+
+    def colour(self, value: float) -> tuple[int, int, int]:
+        """Return the red, green and blue (0 to 255) of a value."""
+        red, green, blue = np.rint(255 * amount_colours(np.array([value]), self.low, self.high)[0])
+        return int(red), int(green), int(blue)
+
+
+MEASURES = (
+    Measure("confidence", "confidence", "confidence", "by how much the map beats the best different one", 0.0, 1.0),
+    Measure("cycle", "cycle_error", "cycle error", "how badly triangles of maps close: 0 exactly, 1 a flip", 1.0, 0.0),
+    Measure("network", "network_error", "network error", "distance from the map that all others imply", 1.0, 0.0),
+    Measure("distortion", "distortion", "distortion", "mean change of distances, in sqrt(area)", 0.1, 0.0),
+)
 
 
 def write_pair_page(result: Correspondence, folder: Path) -> None:
@@ -37,23 +70,24 @@ def write_collection_page(collection: Collection, path: str | Path, *, pictures:
     pictures : False leaves the pictures out.
     """
     path = Path(path)
-    drawn = _draw_all(collection, path.parent) if pictures else {}
-    names = [row.name for row in collection.shapes]
-    title = html.escape(collection.folder.name)
-    style = file_text(_REPORT, "page.css") + file_text(__package__, "page.css")
-    parts = {
-        "head": head(title, style, "'self' file: data:"),
-        "title": title,
-        "facts": _facts(collection),
-        "failures": _failures(collection),
-        "colouring": _colouring(drawn),
-        "gallery": _gallery(collection, drawn),
-        "measures": switches(),
-        "legends": legends(),
-        "matrix": f'<div id="matrix" data-measure="confidence">{matrix(collection, names)}</div>',
-        "look": _worth_a_look(collection),
-    }
-    write_page(path, fill(file_text(__package__, "page.html"), parts))
+    write_page(
+        path,
+        "collection_page/page.html",
+        title=collection.folder.name,
+        facts=_facts(collection),
+        failures=collection.failures,
+        most_listed=_MOST_LISTED,
+        shapes=collection.shapes,
+        folder=PICTURE_FOLDER,
+        ways=_draw_all(collection, path.parent) if pictures else {},
+        measures=MEASURES,
+        stops=RAMPS["amount"].tolist(),
+        tabular=len(collection.shapes) <= MOST_CELLS,
+        rows={pair: row for row in collection.pairs for pair in ((row.source, row.target), (row.target, row.source))},
+        picture=lambda measure: _picture(collection, measure),
+        link=lambda row: _page_link(collection, row),
+        listed=_worth_a_look(collection),
+    )
 
 
 def _draw_all(collection: Collection, folder: Path) -> dict[str, tuple[str, ...]]:
@@ -61,16 +95,15 @@ def _draw_all(collection: Collection, folder: Path) -> dict[str, tuple[str, ...]
     place = folder / PICTURE_FOLDER
     place.mkdir(exist_ok=True)
     ways = {}
-    for picture in shape_pictures(collection):
-        write_png(place / f"{picture.name}.png", picture.image)
-        ways[picture.name] = picture.way
+    for name, image, ways[name] in shape_pictures(collection):
+        write_png(place / f"{name}.png", image)
     return ways
 
 
-def _facts(collection: Collection) -> str:
+def _facts(collection: Collection) -> dict[str, str]:
     kinds = [row.kind for row in collection.pairs if row.ok]
     confidence = sorted(row.confidence for row in collection.pairs if row.confidence is not None)
-    values = {
+    return {
         "shapes": str(sum(row.ok for row in collection.shapes)),
         "pairs with maps": f"{len(kinds)} of {len(collection.pairs)}",
         "matched": str(len(kinds) - kinds.count("derived")),
@@ -79,60 +112,30 @@ def _facts(collection: Collection) -> str:
         "median confidence": f"{confidence[len(confidence) // 2]:.2f}" if confidence else "not known",
         "work": f"{sum(row.seconds or 0.0 for row in collection.pairs):,.0f} s",
     }
-    return "".join(f"<div><dt>{name}</dt><dd>{value}</dd></div>" for name, value in values.items())
 
 
-def _failures(collection: Collection) -> str:
-    failures = collection.failures
-    if not failures:
-        return ""
-    listed = "".join(f"<li>{html.escape(failure)}</li>" for failure in failures[:_MOST_LISTED])
-    more = f"<li>and {len(failures) - _MOST_LISTED} more, see pairs.csv</li>" if len(failures) > _MOST_LISTED else ""
-    return f'<div id="warnings" role="note"><strong>Left out</strong><ul>{listed}{more}</ul></div>'
+def _page_link(collection: Collection, row: PairRow) -> str | None:
+    """Return the address of a pair's page, relative to the collection, or None where there is none."""
+    parts = ("pairs" if row.kind == "direct" else "consistent", row.source, row.target, PAGE_FILE)
+    return "/".join(map(quote, parts)) if collection.folder.joinpath(*parts).is_file() else None
 
 
-def _colouring(drawn: dict[str, tuple[str, ...]]) -> str:
-    if not drawn:
-        return "Without pictures, as asked."
-    first = html.escape(next(iter(drawn)))
-    return f"Same colour, same point: colours are those of {first}, carried to all others by their maps."
-
-
-def _gallery(collection: Collection, drawn: dict[str, tuple[str, ...]]) -> str:
-    figures = []
-    for row in collection.shapes:
-        name = html.escape(row.name)
-        if row.name in drawn:
-            way = drawn[row.name]
-            alt = f"{name}, coloured over {html.escape(' and '.join(way))}" if way else name
-            picture = f'<img loading="lazy" alt="{alt}" src="{PICTURE_FOLDER}/{quote(row.name)}.png">'
-        else:
-            picture = '<span class="none">no picture</span>'
-        size = f"{row.vertices:,} vertices" if row.ok and row.vertices is not None else html.escape(row.status)
-        figures.append(f"<figure>{picture}<figcaption><b>{name}</b> {size}</figcaption></figure>")
-    return "".join(figures)
-
-
-def _worth_a_look(collection: Collection) -> str:
-    """List what was replaced, then the maps of least confidence and largest cycle error."""
+def _worth_a_look(collection: Collection) -> list[PairRow]:
+    """Return what was replaced, then the maps of least confidence and largest cycle error."""
     maps = [row for row in collection.pairs if row.ok]
     replaced = [row for row in maps if row.kind == "repaired"]
     doubtful = sorted((row for row in maps if row.confidence is not None), key=lambda row: row.confidence or 0.0)
     open_cycles = sorted((row for row in maps if row.cycle_error is not None), key=lambda row: -(row.cycle_error or 0))
-    listed = list(dict.fromkeys([*replaced, *doubtful[:8], *open_cycles[:8]]))[:_MOST_LISTED]
-    if not listed:
-        return '<p class="hint">There is no matched pair.</p>'
-    columns = ("pair", "map", "confidence", "cycle error", "network error", "warnings")
-    head = "<tr>" + "".join(f'<th scope="col">{column}</th>' for column in columns) + "</tr>"
-    return f'<div class="scroll"><table>{head}{"".join(_line(collection, row) for row in listed)}</table></div>'
+    return list(dict.fromkeys([*replaced, *doubtful[:8], *open_cycles[:8]]))[:_MOST_LISTED]
 
 
-def _line(collection: Collection, row: PairRow) -> str:
-    name = html.escape(f"{row.source}, {row.target}")
-    link = page_link(collection, row)
-    first = f'<a href="{link}">{name}</a>' if link else name
-    numbers = "".join(
-        f'<td class="number">{"" if value is None else f"{value:.3f}"}</td>'
-        for value in (row.confidence, row.cycle_error, row.network_error)
-    )
-    return f'<tr><td>{first}</td><td>{row.kind}</td>{numbers}<td class="wrap">{html.escape(row.warnings)}</td></tr>'
+def _picture(collection: Collection, measure: Measure) -> str:
+    """Return the matrix, a pixel a pair, as a PNG file in base64."""
+    number = {row.name: index for index, row in enumerate(collection.shapes)}
+    image = np.full((len(number), len(number), 3), 220, dtype=np.uint8)
+    for row in collection.pairs:
+        value = getattr(row, measure.field)
+        if row.ok and value is not None:
+            i, j = number[row.source], number[row.target]
+            image[i, j] = image[j, i] = measure.colour(value)
+    return base64.b64encode(png_bytes(image)).decode("ascii")

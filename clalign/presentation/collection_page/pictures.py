@@ -21,15 +21,6 @@ _HEIGHT = 300
 
 
 @dataclass(frozen=True)
-class ShapePicture:
-    """The picture of one shape: (height, width, 3) uint8, and the shapes over which its colours came."""
-
-    name: str
-    image: NDArray[np.uint8]
-    way: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class _Reached:
     """A shape whose vertices are known on the reference: (n,) int64, -1 where there is none."""
 
@@ -39,11 +30,12 @@ class _Reached:
     way: tuple[str, ...]
 
 
-def shape_pictures(collection: Collection) -> Iterator[ShapePicture]:
-    """Yield the picture of every shape that can be loaded, reference first, then outwards along the maps.
+def shape_pictures(collection: Collection) -> Iterator[tuple[str, NDArray[np.uint8], tuple[str, ...]]]:
+    """Yield the name of every shape that can be loaded, its picture, and the shapes over which its colours came.
 
-    Shapes that no chain of maps joins to the reference are grey. At any time only the shapes at the rim of what is
-    reached are in memory.
+    The reference comes first, then others outwards along the maps; pictures are (height, width, 3). Shapes that no
+    chain of maps joins to the reference are grey. At any time only the shapes at the rim of what is reached are in
+    memory.
     """
     neighbours = _neighbours(collection)
     meshes = {row.name: row.path for row in collection.shapes if row.ok}
@@ -57,7 +49,7 @@ def shape_pictures(collection: Collection) -> Iterator[ShapePicture]:
     seen = {order[0]}
     while rim:
         here = rim.popleft()
-        yield ShapePicture(here.name, _drawn(here, mesh, view, colours), here.way)
+        yield here.name, _drawn(here, mesh, view, colours), here.way
         for name in neighbours.get(here.name, ()):
             if name not in seen and name in meshes:
                 reached = _reached(collection, here, name, meshes[name])
@@ -71,7 +63,7 @@ def shape_pictures(collection: Collection) -> Iterator[ShapePicture]:
             except InputError:
                 continue
             nowhere = _Reached(name, alone, np.full(alone.n_vertices, -1), ())
-            yield ShapePicture(name, _drawn(nowhere, mesh, view, colours), ())
+            yield name, _drawn(nowhere, mesh, view, colours), ()
 
 
 def _neighbours(collection: Collection) -> dict[str, list[str]]:

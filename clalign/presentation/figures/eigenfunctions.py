@@ -9,25 +9,19 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.errors import OptionError
-from clalign.evaluation.spectral import (
-    PairRotation,
-    alignment_errors,
-    as_computed,
-    most_rotated_pair,
-    pair_rotation,
-    recovered_rotation,
-    support_areas,
-    true_rotation,
-)
+from clalign.evaluation import spectral
 from clalign.maps.functional_maps import PointMaps
-from clalign.presentation.figures.sheet import AFTER, BEFORE, PANEL_HEIGHT, Cell, Drawing, Image, Table, panel_sheet
-from clalign.presentation.figures.surfaces import PairView
+from clalign.presentation.figures.sheet import AFTER, BEFORE, PANEL_HEIGHT, Cell, Drawing, Image, panel_sheet
+from clalign.presentation.figures.surfaces import Pair, PairView
 
 #: Paper's numbers (from 1) of the functions of Fig. 1.
 SHOWN = (2, 3, 4, 5, 12, 13, 14, 15, 22, 23, 24, 25)
 SHOWN_INDEX = 7
 
-Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
+_ROTATION_COLUMNS = (
+    *("matrix", "first", "second", "c11", "c12", "c21", "c22"),
+    *("degrees", "reflected", "kept", "error_first", "error_second"),
+)
 
 
 def draw_eigenfunctions(
@@ -37,17 +31,15 @@ def draw_eigenfunctions(
 
     Parameters
     ----------
-    result : the match.
     maps : what err(k) is measured by: the truth, or the found maps where there is none.
     shown : numbers of eigenfunctions, from 1; those beyond the last one are left out.
-    height : of a panel, in pixels.
     """
     view = PairView.of(result)
     kept = [number for number in shown if number <= len(result.rotation)]
     before, after = _unaligned(result), (result.source_aligned, result.target_aligned)
     grid: list[list[Image]] = []
     for functions, background in ((before, BEFORE), (after, AFTER)):
-        panels = [_panels(view, functions, number - 1, height, background) for number in kept]
+        panels = [view.function_panels(functions, number - 1, height, background) for number in kept]
         grid += [[panel[0] for panel in panels], [panel[1] for panel in panels]]
     errors = [_errors(result, functions, maps) for functions in (before, after)]
     figure = panel_sheet(
@@ -58,7 +50,7 @@ def draw_eigenfunctions(
         gaps_after=[place for place in range(len(kept) - 1) if kept[place + 1] != kept[place] + 1],
     )
     rows = tuple((number, float(errors[0][number - 1]), float(errors[1][number - 1])) for number in kept)
-    return Drawing(figure, Table(("eigenfunction", "error_before", "error_after"), rows))
+    return Drawing(figure, ("eigenfunction", "error_before", "error_after"), rows)
 
 
 def draw_pair_rotation(
@@ -66,31 +58,30 @@ def draw_pair_rotation(
 ) -> Drawing:
     """Draw Fig. 2: two neighbouring eigenfunctions that are turned within their span, and the turn recovered.
 
-    Parameters
-    ----------
-    maps : the truth.
-    first : number (from 1) of the first function; None takes the pair that is turned most.
-    height : of a panel, in pixels.
+    `maps` is the truth; `first` the number (from 1) of the first function, None for the pair that is turned most.
 
     Raises
     ------
     OptionError
         There is no such pair.
     """
-    true = true_rotation(
-        as_computed(result.source_scale_invariant), result.target_scale_invariant, maps.source_of_target
+    true = spectral.true_rotation(
+        spectral.as_computed(result.source_scale_invariant), result.target_scale_invariant, maps.source_of_target
     )
     true = true[: len(result.rotation), : len(result.rotation)]
-    support = support_areas(result.target_scale_invariant.functions, result.target_basis.mass)
-    place = most_rotated_pair(true, support) if first is None else first - 1
+    support = spectral.support_areas(result.target_scale_invariant.functions, result.target_basis.mass)
+    place = spectral.most_rotated_pair(true, support) if first is None else first - 1
     if not 0 <= place < len(result.rotation) - 1:
         raise OptionError(f"there is no pair {place + 1}, {place + 2} among {len(result.rotation)} eigenfunctions")
-    blocks = pair_rotation(true, place), pair_rotation(recovered_rotation(result), place)
+    blocks = spectral.pair_rotation(true, place), spectral.pair_rotation(spectral.recovered_rotation(result), place)
     view = PairView.of(result)
     before, after = _unaligned(result), (result.source_aligned, result.target_aligned)
     grid = []
     for number in (place, place + 1):
-        left, right = _panels(view, before, number, height, BEFORE), _panels(view, after, number, height, AFTER)
+        left, right = (
+            view.function_panels(before, number, height, BEFORE),
+            view.function_panels(after, number, height, AFTER),
+        )
         grid.append([*left, *right])
     errors = [_errors(result, functions, maps)[place : place + 2] for functions in (before, after)]
     notes = [f"C̃ of the truth\n{_block_text(blocks[0])}", f"C̃ recovered\n{_block_text(blocks[1])}"]
@@ -102,7 +93,7 @@ def draw_pair_rotation(
         note_span=2,
         gaps_after=[1],
     )
-    return Drawing(figure, _rotation_table(place, blocks, errors))
+    return Drawing(figure, _ROTATION_COLUMNS, _rotation_rows(place, blocks, errors))
 
 
 def draw_variants(
@@ -110,12 +101,7 @@ def draw_variants(
 ) -> Drawing:
     """Draw Fig. 8: one eigenfunction on both shapes, unaligned and aligned by variants of the method.
 
-    Parameters
-    ----------
-    results : label to match of the same pair.
-    maps : the truth.
-    number : of the eigenfunction, from 1.
-    height : of a panel, in pixels.
+    `results` are matches of the same pair by label, `maps` is the truth, `number` counts from 1.
 
     Raises
     ------
@@ -130,7 +116,7 @@ def draw_variants(
     functions |= {label: (result.source_aligned, result.target_aligned) for label, result in results.items()}
     panels: list[Image] = []
     for label, pair in functions.items():
-        panels += _panels(view, pair, number - 1, height, BEFORE if label == "unaligned" else AFTER)
+        panels += view.function_panels(pair, number - 1, height, BEFORE if label == "unaligned" else AFTER)
     errors = {label: float(_errors(first, pair, maps)[number - 1]) for label, pair in functions.items()}
     figure = panel_sheet(
         [panels],
@@ -142,37 +128,32 @@ def draw_variants(
         gaps_after=[2 * place + 1 for place in range(len(functions) - 1)],
     )
     rows = tuple((number, label, error) for label, error in errors.items())
-    return Drawing(figure, Table(("eigenfunction", "variant", "error"), rows))
+    return Drawing(figure, ("eigenfunction", "variant", "error"), rows)
 
 
 def _unaligned(result: Correspondence) -> Pair:
     count = len(result.rotation)
-    return as_computed(result.source_scale_invariant)[:, :count], result.target_scale_invariant.functions[:, :count]
+    return spectral.as_computed(result.source_scale_invariant)[:, :count], result.target_scale_invariant.functions[
+        :, :count
+    ]
 
 
 def _errors(result: Correspondence, functions: Pair, maps: PointMaps) -> NDArray[np.float64]:
-    return alignment_errors(*functions, maps.target_of_source, result.source_basis.mass)
+    return spectral.alignment_errors(*functions, maps.target_of_source, result.source_basis.mass)
 
 
-def _panels(
-    view: PairView, functions: Pair, index: int, height: int, background: tuple[float, float, float]
-) -> tuple[Image, Image]:
-    return view.function_panels(functions[0][:, index], functions[1][:, index], height, background)
-
-
-def _block_text(pair: PairRotation) -> str:
+def _block_text(pair: spectral.PairRotation) -> str:
     (a, b), (c, d) = pair.block
     turn = f"{'reflected, ' if pair.reflected else ''}{pair.angle:+.0f}°, {pair.kept:.0%} inside"
     return f"{a:+.2f} {b:+.2f}\n{c:+.2f} {d:+.2f}\n{turn}"
 
 
-def _rotation_table(
-    place: int, blocks: tuple[PairRotation, PairRotation], errors: Sequence[NDArray[np.float64]]
-) -> Table:
+def _rotation_rows(
+    place: int, blocks: tuple[spectral.PairRotation, spectral.PairRotation], errors: Sequence[NDArray[np.float64]]
+) -> tuple[tuple[Cell, ...], ...]:
     rows: list[tuple[Cell, ...]] = []
     for label, pair, measured in zip(("truth, before", "recovered, after"), blocks, errors, strict=True):
         entries = (float(entry) for entry in pair.block.ravel())
         turn = (pair.angle, str(pair.reflected).lower(), pair.kept)
         rows.append((label, place + 1, place + 2, *entries, *turn, *(float(error) for error in measured)))
-    names = ("matrix", "first", "second", "c11", "c12", "c21", "c22", "degrees", "reflected", "kept")
-    return Table((*names, "error_first", "error_second"), tuple(rows))
+    return tuple(rows)

@@ -9,21 +9,11 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.evaluation.errors import THRESHOLDS, Evaluation
-from clalign.presentation.curves import AXIS_LABELS, Unit, legend_height, plot_error_curves
-from clalign.presentation.figures.eigenfunctions import _panels
-from clalign.presentation.figures.sheet import (
-    AFTER,
-    BEFORE,
-    PANEL_HEIGHT,
-    Drawing,
-    Image,
-    Table,
-    new_figure,
-    panel_sheet,
-)
+from clalign.presentation.curves import AXIS_LABELS, Unit, legend_height, new_figure, plot_error_curves
+from clalign.presentation.figures.sheet import AFTER, BEFORE, PANEL_HEIGHT, Drawing, Image, panel_sheet
 from clalign.presentation.figures.surfaces import PairView
-from clalign.transfer.surface_map import surface_map
 
+_ERRORS = ("mean", "median", "exact", "mirrored_mean", "flipped")
 _LOSSES = ("total", "align", "unsup", "unitarity")
 _MIRROR_SHOWN = (2, 3, 4, 5)
 
@@ -38,15 +28,14 @@ def draw_error_curves(curves: Mapping[Unit, Curves]) -> Drawing:
     curves : unit to label to (251,) shares at `clalign.evaluation.errors.THRESHOLDS`.
     """
     units = [unit for unit in AXIS_LABELS if unit in curves][::-1]
-    figure = new_figure(9.0, 3.7 + legend_height(max(len(curves[unit]) for unit in units)))
+    figure = new_figure(9.0, 3.7 + legend_height(max(len(curves[unit]) for unit in units)), "constrained")
     for axes, unit in zip(np.atleast_1d(figure.subplots(1, len(units))), units, strict=True):
-        plot_error_curves(axes, curves[unit], unit, float(THRESHOLDS[-1]))
-    figure.set_layout_engine("constrained")
+        plot_error_curves(axes, curves[unit], unit)
     named = [(f"{label} / {unit}", curve) for unit in units for label, curve in curves[unit].items()]
     rows = tuple(
         (float(threshold), *(float(curve[place]) for _, curve in named)) for place, threshold in enumerate(THRESHOLDS)
     )
-    return Drawing(figure, Table(("threshold", *(name for name, _ in named)), rows))
+    return Drawing(figure, ("threshold", *(name for name, _ in named)), rows)
 
 
 def draw_matched_colours(
@@ -54,16 +43,12 @@ def draw_matched_colours(
 ) -> Drawing:
     """Draw Fig. 6: corresponding points of each pair in one colour, the target's colours carried to the source.
 
-    Parameters
-    ----------
-    results : label to match.
-    evaluations : those that could be measured, by the same labels.
-    height : half the height of a panel, in pixels.
+    Matches, and those of them that could be measured, go by label; `height` is half that of a panel, in pixels.
     """
     panels: list[Image] = []
     notes: list[str] = []
     for label, result in results.items():
-        panels += PairView.of(result).map_panels(result.target.vertices, surface_map(result), 2 * height)
+        panels += PairView.of(result).map_panels(result, 2 * height)
         notes.append(_error_text(evaluations.get(label)))
     figure = panel_sheet(
         [panels],
@@ -73,7 +58,7 @@ def draw_matched_colours(
         gaps_after=[2 * place + 1 for place in range(len(results) - 1)],
     )
     rows = tuple((label, *_error_cells(evaluations.get(label))) for label in results)
-    return Drawing(figure, Table(("pair", "mean", "median", "exact", "mirrored_mean", "flipped"), rows))
+    return Drawing(figure, ("pair", *_ERRORS), rows)
 
 
 def draw_mirrored(
@@ -85,17 +70,16 @@ def draw_mirrored(
     ----------
     results : label to match of one pair; the last one is drawn as the good one.
     evaluations : by the same labels, with errors to the mirrored truth where it is known.
-    height : of a panel, in pixels.
     """
     grid: list[list[Image]] = []
     *_, good = results.values()
     view = PairView.of(good)
     for result in results.values():
-        panels = [*view.map_panels(result.target.vertices, surface_map(result), height)]
+        panels = [*view.map_panels(result, height)]
         background = AFTER if result is good else BEFORE
         for number in _MIRROR_SHOWN:
             index = min(number, len(result.rotation)) - 1
-            panels += _panels(view, (result.source_aligned, result.target_aligned), index, height, background)
+            panels += view.function_panels((result.source_aligned, result.target_aligned), index, height, background)
         grid.append(panels)
     figure = panel_sheet(
         grid,
@@ -112,8 +96,7 @@ def draw_mirrored(
         )
         for label, result in results.items()
     )
-    names = ("start", "mean", "median", "exact", "mirrored_mean", "flipped", *_LOSSES, "orientation")
-    return Drawing(figure, Table(names, rows))
+    return Drawing(figure, ("start", *_ERRORS, *_LOSSES, "orientation"), rows)
 
 
 def _error_text(evaluation: Evaluation | None) -> str:
@@ -127,6 +110,6 @@ def _error_text(evaluation: Evaluation | None) -> str:
 
 def _error_cells(evaluation: Evaluation | None) -> tuple[float | str | None, ...]:
     if evaluation is None:
-        return (None,) * 5
+        return (None,) * len(_ERRORS)
     flipped = None if evaluation.flipped is None else str(evaluation.flipped).lower()
     return evaluation.mean, evaluation.median, evaluation.exact, evaluation.mirrored_mean, flipped

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import InputError
+from clalign.presentation.curves import new_figure
 
 DPI = 200
 PANEL_HEIGHT = 300
@@ -25,38 +26,12 @@ Cell = str | int | float | None
 
 
 @dataclass(frozen=True)
-class Table:
-    """Numbers of a figure.
-
-    columns : names, the first ones saying what a row is.
-    rows : one cell a column.
-    """
-
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-
-
-@dataclass(frozen=True)
 class Drawing:
-    """A figure and the numbers that it shows."""
+    """A figure and the numbers that it shows: names of columns, the first saying what a row is, and rows of cells."""
 
     figure: Any
-    table: Table
-
-
-def new_figure(width: float, height: float) -> Any:
-    """Return an empty matplotlib figure of a size in inches.
-
-    Raises
-    ------
-    InputError
-        matplotlib is not installed.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError("figures need matplotlib: pip install 'clalign[plots]'") from error
-    return Figure(figsize=(width, height))
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
 
 
 def save_drawing(drawing: Drawing, folder: Path, stem: str) -> list[Path]:
@@ -77,8 +52,8 @@ def save_drawing(drawing: Drawing, folder: Path, stem: str) -> list[Path]:
             drawing.figure.savefig(paths[1], dpi=DPI, metadata={"Date": None})
         with paths[2].open("w", encoding="utf-8", newline="") as stream:
             writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(drawing.table.columns)
-            writer.writerows([[_cell_text(cell) for cell in row] for row in drawing.table.rows])
+            writer.writerow(drawing.columns)
+            writer.writerows([[f"{c:.6g}" if isinstance(c, float) else c for c in row] for row in drawing.rows])
     except OSError as error:
         raise InputError(f"{error.filename or folder}: cannot be written ({error.strerror})") from error
     return paths
@@ -134,9 +109,3 @@ def panel_sheet(
 
 def _lines(labels: Sequence[str]) -> int:
     return 1 + max(label.count("\n") for label in labels)
-
-
-def _cell_text(cell: Cell) -> str | int:
-    if cell is None:
-        return ""
-    return f"{cell:.6g}" if isinstance(cell, float) else cell

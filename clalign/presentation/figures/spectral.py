@@ -9,42 +9,31 @@ from numpy.typing import NDArray
 
 from clalign.alignment.band import band_mask, funnel_band
 from clalign.correspondence import Correspondence
-from clalign.evaluation.spectral import (
-    SpectralErrors,
-    as_computed,
-    coupling_spread,
-    energy_inside,
-    recovered_rotation,
-    true_rotation,
-)
+from clalign.evaluation import spectral
 from clalign.maps.functional_maps import PointMaps
-from clalign.presentation.figures.sheet import Drawing, Table, new_figure
+from clalign.presentation.curves import new_figure
+from clalign.presentation.figures.sheet import Drawing
 
 _RUNNING = 11
 _GAMMA = 0.5
 
 
 def draw_funnel(result: Correspondence, maps: PointMaps) -> Drawing:
-    """Draw Fig. 3: |C̃| of the truth, the mask of the options beside it (outlined in both), and the recovered |C̃|.
-
-    Parameters
-    ----------
-    maps : the truth.
-    """
+    """Draw Fig. 3: |C̃| of the truth, the mask of the options beside it (outlined in both), and the recovered |C̃|."""
     from matplotlib.colors import PowerNorm
 
     count = len(result.rotation)
-    source = as_computed(result.source_scale_invariant)[:, :count]
-    true = true_rotation(source, result.target_scale_invariant, maps.source_of_target)
-    recovered = recovered_rotation(result)
+    source = spectral.as_computed(result.source_scale_invariant)[:, :count]
+    true = spectral.true_rotation(source, result.target_scale_invariant, maps.source_of_target)
+    recovered = spectral.recovered_rotation(result)
     band = funnel_band(count, result.options.alignment)
     mask = band_mask(band)
-    figure = new_figure(9.6, 3.5)
+    figure = new_figure(9.6, 3.5, "constrained")
     panels = figure.subplots(1, 3)
     titles = (
-        f"|C̃| of the truth, {energy_inside(true, mask):.1%} inside",
+        f"|C̃| of the truth, {spectral.energy_inside(true, mask):.1%} inside",
         f"mask of R: {mask.mean():.1%} of the entries",
-        f"|C̃| recovered, {energy_inside(recovered, mask):.1%} inside",
+        f"|C̃| recovered, {spectral.energy_inside(recovered, mask):.1%} inside",
     )
     extent = (0.5, count + 0.5, count + 0.5, 0.5)
     index = np.arange(1, count + 1)
@@ -57,19 +46,18 @@ def draw_funnel(result: Correspondence, maps: PointMaps) -> Drawing:
         axes.set_xlabel("eigenfunction of the target", fontsize=8)
         axes.tick_params(labelsize=7)
     panels[0].set_ylabel("eigenfunction of the source", fontsize=8)
-    figure.set_layout_engine("constrained")
     rows_inside = [np.square(np.where(mask, m, 0.0)).sum(1) / np.square(m).sum(1) for m in (true, recovered)]
     norms = [np.linalg.norm(m, axis=1) for m in (true, recovered)]
-    columns = (coupling_spread(true), coupling_spread(recovered), *rows_inside, *norms)
+    columns = (spectral.coupling_spread(true), spectral.coupling_spread(recovered), *rows_inside, *norms)
     rows = tuple(
         (int(i), int(band.lower[i - 1]) + 1, int(band.upper[i - 1]), *(float(column[i - 1]) for column in columns))
         for i in index
     )
     names = ("eigenfunction", "first_column", "last_column", "spread_true", "spread_recovered")
-    return Drawing(figure, Table((*names, "inside_true", "inside_recovered", "norm_true", "norm_recovered"), rows))
+    return Drawing(figure, (*names, "inside_true", "inside_recovered", "norm_true", "norm_recovered"), rows)
 
 
-def draw_spectral_errors(errors: Mapping[str, SpectralErrors]) -> Drawing:
+def draw_spectral_errors(errors: Mapping[str, spectral.SpectralErrors]) -> Drawing:
     """Draw Fig. 9: err(k) of the unaligned eigenfunctions and after alignment by variants of the method.
 
     Thin lines are err(k), thick ones their running mean over 11 indices.
@@ -81,7 +69,7 @@ def draw_spectral_errors(errors: Mapping[str, SpectralErrors]) -> Drawing:
     first = next(iter(errors.values()))
     curves: dict[str, NDArray[np.float64]] = {"unaligned": first.unaligned, "unaligned, true signs": first.signed}
     curves |= {label: measured.aligned for label, measured in errors.items()}
-    figure = new_figure(6.6, 4.3)
+    figure = new_figure(6.6, 4.3, "constrained")
     axes = figure.add_subplot()
     count = max(len(curve) for curve in curves.values())
     for number, (label, curve) in enumerate(curves.items()):
@@ -93,11 +81,10 @@ def draw_spectral_errors(errors: Mapping[str, SpectralErrors]) -> Drawing:
     axes.grid(alpha=0.3)
     # Beside the axes: thin lines are everywhere inside.
     axes.legend(fontsize="small", loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
-    figure.set_layout_engine("constrained")
     rows = tuple(
         (k + 1, *(float(curve[k]) if k < len(curve) else None for curve in curves.values())) for k in range(count)
     )
-    return Drawing(figure, Table(("eigenfunction", *curves), rows))
+    return Drawing(figure, ("eigenfunction", *curves), rows)
 
 
 def running_mean(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:

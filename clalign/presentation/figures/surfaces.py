@@ -8,17 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
-from clalign.presentation.camera import Up, front_view
-from clalign.presentation.figures.sheet import Image
-from clalign.presentation.picture import map_rotation
+from clalign.presentation.figures.sheet import PLAIN, Image
+from clalign.presentation.picture import pair_colours, pair_views
 from clalign.presentation.raster import rasterise
-from clalign.transfer.colours import carried_colours, function_colours, position_colours
-from clalign.transfer.surface_map import SurfaceMap, surface_map
+from clalign.transfer.colours import function_colours
 
 _MARGIN = 0.04
 _FULL_COLOUR = 0.98
 
 Colour = tuple[float, float, float]
+Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -39,13 +38,12 @@ class PairView:
     view: NDArray[np.float64]
 
     @staticmethod
-    def of(correspondence: Correspondence, up: Up | None = None) -> PairView:
+    def of(correspondence: Correspondence) -> PairView:
         """Return the view in which the source faces like the target."""
         source, target = correspondence.source, correspondence.target
-        view = front_view(target.vertices, up)
-        turn = map_rotation(source.vertices, target.vertices, surface_map(correspondence))
+        turned, view = pair_views(correspondence)
         return PairView(
-            source=_centred(source.vertices @ (view @ turn).T),
+            source=_centred(source.vertices @ turned.T),
             target=_centred(target.vertices @ view.T),
             source_faces=source.faces,
             target_faces=target.faces,
@@ -57,46 +55,36 @@ class PairView:
         source_colours: NDArray[np.float64],
         target_colours: NDArray[np.float64],
         height: int,
-        background: Colour = (1.0, 1.0, 1.0),
+        ground: Colour = PLAIN,
     ) -> tuple[Image, Image]:
-        """Return images of both shapes, of one size, with (n, 3) colours."""
+        """Return images of both shapes, of one size, with (n, 3) colours on a background."""
         both = np.concatenate([self.source, self.target])
         extent = 2.0 * np.abs(both[:, :2]).max(axis=0)
         scale = height * (1.0 - 2.0 * _MARGIN) / max(float(extent[1]), 0.4 * float(extent[0]))
         width = int(np.ceil(extent[0] * scale + 2.0 * _MARGIN * height))
-        first, second = (
-            rasterise(
-                vertices * scale + (width / 2, height / 2, 0.0), faces, colours, (width, height), background=background
-            )
-            for vertices, faces, colours in (
-                (self.source, self.source_faces, source_colours),
-                (self.target, self.target_faces, target_colours),
-            )
-        )
-        return first, second
-
-    def function_panels(
-        self,
-        source_values: NDArray[np.float64],
-        target_values: NDArray[np.float64],
-        height: int,
-        background: Colour = (1.0, 1.0, 1.0),
-    ) -> tuple[Image, Image]:
-        """Return images of a signed function on each shape (n,), in one colour scale: red above zero, blue below."""
-        limit = float(np.quantile(np.abs(np.concatenate([source_values, target_values])), _FULL_COLOUR))
-        return self.panels(
-            function_colours(source_values, limit=limit),
-            function_colours(target_values, limit=limit),
-            height,
-            background,
+        middle = (width / 2, height / 2, 0.0)
+        source, target = self.source * scale + middle, self.target * scale + middle
+        return (
+            rasterise(source, self.source_faces, source_colours, (width, height), background=ground),
+            rasterise(target, self.target_faces, target_colours, (width, height), background=ground),
         )
 
-    def map_panels(
-        self, target_vertices: NDArray[np.float64], to_target: SurfaceMap, height: int
-    ) -> tuple[Image, Image]:
-        """Return images with the colours of places on the target, carried to the source by a map."""
-        colours = position_colours(target_vertices, self.view)
-        return self.panels(carried_colours(colours, to_target), colours, height)
+    def function_panels(self, functions: Pair, index: int, height: int, ground: Colour = PLAIN) -> tuple[Image, Image]:
+        """Return images of one of some functions on source and target, in one colour scale: red above zero, blue below.
+
+        Parameters
+        ----------
+        functions : (n_x, d) and (n_y, d).
+        index : column of both.
+        """
+        values = [each[:, index] for each in functions]
+        limit = float(np.quantile(np.abs(np.concatenate(values)), _FULL_COLOUR))
+        source, target = (function_colours(each, limit=limit) for each in values)
+        return self.panels(source, target, height, ground)
+
+    def map_panels(self, correspondence: Correspondence, height: int) -> tuple[Image, Image]:
+        """Return images with the colours of places on the target, carried to the source by a match of this pair."""
+        return self.panels(*pair_colours(correspondence, self.view), height)
 
 
 def _centred(vertices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,29 +11,15 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Alternative, Correspondence, finite_or_none
 from clalign.evaluation.errors import Evaluation
-from clalign.mesh.mesh import Mesh
-from clalign.presentation.camera import Up, front_view
-from clalign.presentation.picture import map_rotation
+from clalign.presentation.camera import Up
+from clalign.presentation.picture import pair_views
 from clalign.transfer.colours import RAMPS, UNMATCHED, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map, vertex_map
 
 _FUNCTION_BYTES = 8_000_000
 _MOST_FUNCTIONS = 120
+_PROVENANCE = ("device", "confidence", "orientation", "losses", "timings", "warnings", "options", "versions")
 _HISTORY_LINES = ("total", "align", "unsup", "cycle", "unitarity")
-
-
-@dataclass(frozen=True)
-class Payload:
-    """Content of a page.
-
-    Attributes
-    ----------
-    facts : plain values for JSON.
-    arrays : by name; dtypes uint8, uint16, uint32, int32 or float32.
-    """
-
-    facts: dict[str, Any]
-    arrays: dict[str, NDArray[np.generic]]
 
 
 def build_payload(
@@ -43,32 +28,38 @@ def build_payload(
     evaluation: Evaluation | None = None,
     functions: int | None = None,
     up: Up | None = None,
-) -> Payload:
-    """Collect everything that the page of a match shows.
+) -> tuple[dict[str, Any], dict[str, NDArray[np.generic]]]:
+    """Return the facts and the arrays (uint8, uint16, uint32, int32 or float32) that the page of a match shows.
 
-    Parameters
-    ----------
-    correspondence, evaluation, functions, up : see `clalign.presentation.report.write_report`.
+    The arguments are those of `clalign.presentation.report.write_report`.
     """
     source, target = correspondence.source, correspondence.target
-    view = front_view(target.vertices, up)
-    to_target = surface_map(correspondence)
-    views = {"source": view @ map_rotation(source.vertices, target.vertices, to_target), "target": view}
+    views = pair_views(correspondence, up)
     arrays: dict[str, NDArray[np.generic]] = {}
     shapes = {}
-    for side, mesh in (("source", source), ("target", target)):
-        placed = mesh.vertices @ views[side].T
+    for side, mesh, view in zip(("source", "target"), (source, target), views, strict=True):
+        placed = mesh.vertices @ view.T
         low, span = placed.min(axis=0), float(np.ptp(placed, axis=0).max()) or 1.0
         arrays[f"{side}-positions"] = np.rint((placed - low) / span * 65535).astype(np.uint16)
         arrays[f"{side}-faces"] = mesh.faces.astype(np.uint16 if mesh.n_vertices < 1 << 16 else np.uint32)
         arrays[f"{side}-numbers"] = mesh.file_index.astype(np.uint32)
-        shapes[side] = {**_mesh_facts(mesh), "low": low.tolist(), "span": span}
-    arrays["colours"] = _bytes(position_colours(target.vertices, view))
+        shapes[side] = {
+            "name": mesh.name,
+            "file": Path(mesh.path).name if mesh.path else None,
+            "vertices": mesh.n_vertices,
+            "faces": mesh.n_faces,
+            "scale": finite_or_none(mesh.scale),
+            "notes": list(mesh.notes),
+            "low": low.tolist(),
+            "span": span,
+        }
+    arrays["colours"] = np.rint(255 * position_colours(target.vertices, views[1])).astype(np.uint8)
     arrays["distortion"] = correspondence.distortion.astype(np.float32)
     arrays["rotation"] = correspondence.rotation.astype(np.float32)
     arrays["functional-map"] = correspondence.functional_map.astype(np.float32)
     maps = _add_maps(correspondence, arrays)
-    shown = _add_functions(correspondence, to_target, functions, arrays)
+    shown = _add_functions(correspondence, functions, arrays)
+    provenance = correspondence.facts()
     facts = {
         **shapes,
         "maps": maps,
@@ -77,48 +68,37 @@ def build_payload(
         "unmatched": (UNMATCHED * 255).round().astype(int).tolist(),
         "history": _history(correspondence),
         "evaluation": None if evaluation is None else _evaluation(evaluation),
-        **_provenance(correspondence),
+        **{name: provenance[name] for name in _PROVENANCE},
     }
-    return Payload(facts, arrays)
+    return facts, arrays
 
 
 def _add_maps(correspondence: Correspondence, arrays: dict[str, NDArray[np.generic]]) -> list[dict[str, Any]]:
     source, target = correspondence.source, correspondence.target
-    described: list[dict[str, Any]] = [
-        {
-            "label": "the chosen map",
-            "orientation": finite_or_none(correspondence.orientation),
-            "score": finite_or_none(correspondence.score),
-            "distance": 0.0,
-        }
-    ]
-    described += [
-        {
-            "label": f"alternative {rank}",
-            "orientation": finite_or_none(other.orientation),
-            "score": finite_or_none(other.score),
-            "distance": finite_or_none(other.distance),
-        }
-        for rank, other in enumerate(correspondence.alternatives, start=1)
-    ]
     every_map: tuple[Correspondence | Alternative, ...] = (correspondence, *correspondence.alternatives)
+    described = []
     for rank, maps in enumerate(every_map):
         forward = vertex_map(maps.target_of_source, source, target)
         backward = vertex_map(maps.source_of_target, target, source)
         arrays[f"map-{rank}-target-of-source"] = forward.vertex.astype(np.int32)
         arrays[f"map-{rank}-source-of-target"] = backward.vertex.astype(np.int32)
+        described.append(
+            {
+                "label": f"alternative {rank}" if rank else "the chosen map",
+                "orientation": finite_or_none(maps.orientation),
+                "score": finite_or_none(maps.score),
+                "distance": finite_or_none(maps.distance) if isinstance(maps, Alternative) else 0.0,
+            }
+        )
     return described
 
 
 def _add_functions(
-    correspondence: Correspondence,
-    to_target: SurfaceMap,
-    wanted: int | None,
-    arrays: dict[str, NDArray[np.generic]],
+    correspondence: Correspondence, wanted: int | None, arrays: dict[str, NDArray[np.generic]]
 ) -> dict[str, Any]:
-    source_count, target_count = correspondence.source.n_vertices, correspondence.target.n_vertices
-    available = len(correspondence.rotation)
-    fitting = min(_MOST_FUNCTIONS, _FUNCTION_BYTES // (2 * (source_count + target_count)))
+    to_target, available = surface_map(correspondence), len(correspondence.rotation)
+    vertices = correspondence.source.n_vertices + correspondence.target.n_vertices
+    fitting = min(_MOST_FUNCTIONS, _FUNCTION_BYTES // (2 * vertices))
     shown = min(available, max(1, fitting) if wanted is None else max(1, wanted))
     stages = {
         "before": (correspondence.source_scale_invariant.functions, correspondence.target_scale_invariant.functions),
@@ -158,35 +138,12 @@ def _history(correspondence: Correspondence) -> dict[str, list[float | None]]:
 
 def _evaluation(evaluation: Evaluation) -> dict[str, Any]:
     values = evaluation.as_dict()
+    measured = {name: getattr(evaluation, name) for name in ("exact", "mean", "median", "mirrored_mean")}
+    measured["area_under_curve"] = evaluation.area_under_curve()
     return {
         "points": values["points"],
         "distances": values["distances"],
-        "exact": finite_or_none(evaluation.exact),
-        "mean": finite_or_none(evaluation.mean),
-        "median": finite_or_none(evaluation.median),
-        "mirrored_mean": None if evaluation.mirrored_mean is None else finite_or_none(evaluation.mirrored_mean),
-        "area_under_curve": finite_or_none(evaluation.area_under_curve()),
+        **{name: None if value is None else finite_or_none(value) for name, value in measured.items()},
         "threshold": values["curve"]["threshold"],
         "share": values["curve"]["per_sqrt_area"],
     }
-
-
-def _provenance(correspondence: Correspondence) -> dict[str, Any]:
-    facts = correspondence.facts()
-    names = ("device", "confidence", "orientation", "losses", "timings", "warnings", "options", "versions")
-    return {name: facts[name] for name in names}
-
-
-def _mesh_facts(mesh: Mesh) -> dict[str, Any]:
-    return {
-        "name": mesh.name,
-        "file": Path(mesh.path).name if mesh.path else None,
-        "vertices": mesh.n_vertices,
-        "faces": mesh.n_faces,
-        "scale": finite_or_none(mesh.scale),
-        "notes": list(mesh.notes),
-    }
-
-
-def _bytes(colours: NDArray[np.float64]) -> NDArray[np.uint8]:
-    return np.rint(colours * 255.0).astype(np.uint8)
