@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clalign.collection.network import MapEdges, Network, cycle_errors, cycle_weights, synchronise
-from clalign.collection.rows import PairRow
-from clalign.collection.store import Store
+from clalign.collection.store import PairRow, Store
 from clalign.correspondence import finite_or_none
 from clalign.maps.functional_maps import polar_factor
 from clalign.rules import CollectionRules
@@ -74,20 +72,13 @@ def checked_by_network(
             network_error=finite_or_none(network.residuals[place]),
         )
     contradicting = tuple(index for place, index in enumerate(used) if network.residuals[place] > rules.wrong)
-    return NetworkCheck(network, tuple(checked_rows), contradicting, _digest(network.frames))
-
-
-def missing_pairs(network: Network, matched: set[frozenset[int]]) -> list[tuple[int, int]]:
-    """Return the pairs (i, j), i < j, that the network joins and that were not matched."""
-    count = len(network.frames)
-    return [
-        (i, j)
-        for i in range(count)
-        for j in range(i + 1, count)
-        if network.component[i] == network.component[j] and frozenset((i, j)) not in matched
-    ]
-
-
-def _digest(frames: NDArray[np.float64]) -> str:
     # Rounded, so that the last bits of a sum in another order do not make everything be derived again.
-    return hashlib.sha256(np.round(frames, 6).tobytes()).hexdigest()[:16]
+    digest = hashlib.sha256(np.round(network.frames, 6).tobytes()).hexdigest()[:16]
+    return NetworkCheck(network, tuple(checked_rows), contradicting, digest)
+
+
+def missing_pairs(network: Network, names: Sequence[str], matched: set[frozenset[str]]) -> list[tuple[str, str]]:
+    """Return the pairs of shapes, by name, that the network joins and that were not matched."""
+    joined = network.component[:, None] == network.component
+    pairs = ((names[i], names[j]) for i, j in np.argwhere(np.triu(joined, 1)).tolist())
+    return [pair for pair in pairs if frozenset(pair) not in matched]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.collection.result import Collection
-from clalign.collection.rows import PairRow
+from clalign.collection.store import PairRow
 from clalign.presentation.raster import png_bytes
 from clalign.transfer.colours import RAMPS, amount_colours
 

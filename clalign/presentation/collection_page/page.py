@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from clalign.collection.result import Collection
-from clalign.collection.rows import PairRow
+from clalign.collection.store import PairRow
 from clalign.correspondence import Correspondence
 from clalign.presentation.collection_page.matrix import PAGE_FILE, legends, matrix, page_link, switches
 from clalign.presentation.collection_page.pictures import shape_pictures
