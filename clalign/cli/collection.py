@@ -41,10 +41,7 @@ examples:
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``collection`` to the program."""
     parser = subparsers.add_parser(
-        "collection",
-        help="match a whole set of shapes",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
+        "collection", help="match a whole set of shapes", description=_DESCRIPTION, epilog=_EPILOG
     )
     parser.add_argument("shapes", metavar="SHAPES", type=Path, help="folder of meshes, or a file that lists them")
     add_job_arguments(parser, DEFAULT_FOLDER)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clalign.cli.job import Truths, add_job_arguments, run_job
+from clalign.data import bundled_pair
 
 if TYPE_CHECKING:
     from clalign.mesh.mesh import Mesh
@@ -28,7 +29,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Match the bundled pair."""
-    from clalign.data import bundled_pair
     from clalign.evaluation.truth import read_index_truth
 
     pair = bundled_pair()

@@ -14,6 +14,7 @@ from typing import Any
 
 from clalign.cli.probe import probe
 from clalign.cli.terminal import table
+from clalign.errors import DeviceError
 from clalign.storage.files import KERNEL_VARIABLE, size_text
 
 PACKAGES = ("numpy", "scipy", "trimesh", "pyopencl", "nlopt", "potpourri3d")
@@ -227,7 +228,6 @@ def _version(package: str) -> str | None:
 
 def _kernels() -> dict[str, Any]:
     from clalign.engine.programs import kernel_folder
-    from clalign.errors import DeviceError
 
     try:
         folder = kernel_folder()

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clalign.cli.terminal import Terminal, table
+from clalign.errors import ResultError
 
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
@@ -34,10 +35,7 @@ examples:
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``evaluate`` to the program."""
     parser = subparsers.add_parser(
-        "evaluate",
-        help="measure a map against the truth",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
+        "evaluate", help="measure a map against the truth", description=_DESCRIPTION, epilog=_EPILOG
     )
     parser.add_argument("map", metavar="MAP", type=Path, help="result folder, or text file of a map")
     parser.add_argument("--source", metavar="FILE", type=Path, help="source mesh, for a bare map")
@@ -102,7 +100,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _result_and_meshes(args: argparse.Namespace) -> tuple[Correspondence | None, Mesh, Mesh]:
-    from clalign.errors import ResultError
     from clalign.mesh.mesh import load_mesh
 
     if args.map.is_dir():
@@ -125,7 +122,6 @@ def read_truth(words: list[str], base: Base | None, source: Mesh, target: Mesh) 
     ResultError
         A file cannot be read or does not fit the meshes, or there are more than two.
     """
-    from clalign.errors import ResultError
     from clalign.evaluation.truth import Truth, read_index_truth, read_pair_truth
 
     counts = {"source_count": source.file_count, "target_count": target.file_count}

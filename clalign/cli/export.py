@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clalign.errors import ResultError
+
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
 
@@ -30,11 +32,7 @@ formats:
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``export`` to the program."""
-    parser = subparsers.add_parser(
-        "export",
-        help="write a saved match for other programs",
-        description=_DESCRIPTION,
-    )
+    parser = subparsers.add_parser("export", help="write a saved match for other programs", description=_DESCRIPTION)
     parser.add_argument("result", metavar="RESULT", type=Path, help="folder that 'clalign match' wrote")
     parser.add_argument(
         "--format",
@@ -58,7 +56,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Write every format that was asked for and print the files."""
     from clalign.correspondence import Correspondence
-    from clalign.errors import ResultError
 
     correspondence = Correspondence.load(args.result)
     for name in dict.fromkeys(args.format):

@@ -8,9 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clalign.benchmark.methods import MethodRuns, split_list
 from clalign.cli.bench.common import add_option_arguments
 from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
+from clalign.data import bundled_pair
+from clalign.errors import OptionError, ResultError
+from clalign.options import Options
 
 if TYPE_CHECKING:
     from clalign.benchmark.pairs import LoadedPair
@@ -46,12 +50,7 @@ examples:
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``figures`` to the program."""
-    parser = subparsers.add_parser(
-        "figures",
-        help="draw the paper's figures",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-    )
+    parser = subparsers.add_parser("figures", help="draw the paper's figures", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("paths", metavar="RESULT|SOURCE TARGET", nargs="*", type=Path, help="what figures are drawn of")
     parser.add_argument("--which", metavar="NUMBERS", default="all", help="comma-separated, or 'all' (default)")
     parser.add_argument("--out", metavar="DIR", type=Path, default=DEFAULT_FOLDER, help="folder (default: %(default)s)")
@@ -99,7 +98,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _wanted(text: str, known: tuple[str, ...]) -> list[str]:
-    from clalign.errors import OptionError
 
     if text == "all":
         return list(known)
@@ -111,14 +109,12 @@ def _wanted(text: str, known: tuple[str, ...]) -> list[str]:
 
 
 def _check_recorded(text: str, wanted: list[str]) -> None:
-    from clalign.errors import OptionError
 
     if text != "all" and wanted != ["5"]:
         raise OptionError("the folder of a benchmark has error curves only: ask for --which 5")
 
 
 def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: Terminal) -> list[str]:
-    from clalign.errors import OptionError
     from clalign.presentation.figures.gallery import PLANS
 
     plans = {number: PLANS[number] for number in wanted}
@@ -137,10 +133,7 @@ def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: 
 
 def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
     """Read the pair, its truth and what is matched already."""
-    from clalign.benchmark.methods import MethodRuns, split_list
-    from clalign.errors import OptionError
     from clalign.geometry.cache import ShapeCache
-    from clalign.options import Options
     from clalign.presentation.figures.gallery import MAIN, Subject
 
     if args.height < 20:
@@ -178,7 +171,6 @@ def _watch(terminal: Terminal) -> Callable[[str], Callable[[str, float, str], No
 
 def _bundled() -> LoadedPair:
     from clalign.benchmark.pairs import LoadedPair
-    from clalign.data import bundled_pair
     from clalign.evaluation.truth import read_index_truth
     from clalign.mesh.mesh import load_mesh
 
@@ -197,7 +189,6 @@ def _named(args: argparse.Namespace) -> tuple[LoadedPair, Correspondence | None]
     from clalign.benchmark.pairs import LoadedPair
     from clalign.cli.evaluate import read_truth
     from clalign.correspondence import Correspondence
-    from clalign.errors import ResultError
     from clalign.evaluation.truth import Truth, read_mirror
     from clalign.mesh.mesh import load_mesh
 

@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any
 from clalign.cli.interrupts import Interrupts
 from clalign.cli.terminal import Terminal, table
 from clalign.ctrl_c import plain_interrupts
+from clalign.errors import ClalignWarning, OptionError
+from clalign.options import Options
+from clalign.storage.folders import check_destination
 
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
     from clalign.evaluation.errors import Evaluation
     from clalign.evaluation.truth import Truth
     from clalign.mesh.mesh import Mesh
-    from clalign.options import Options
 
 PICTURE_FILE = "match.png"
 REPORT_FILE = "report.html"
@@ -85,8 +87,6 @@ def options_from(args: argparse.Namespace) -> Options:
     OptionError
         An unknown preset or option, or a value outside its range.
     """
-    from clalign.options import Options
-
     named = {
         "search.orientation": args.orientation,
         "search.alternatives": args.alternatives,
@@ -104,8 +104,6 @@ def option_changes(args: argparse.Namespace) -> dict[str, Any]:
     OptionError
         A ``--set`` without a value.
     """
-    from clalign.errors import OptionError
-
     changes: dict[str, Any] = {} if args.seed is None else {"seed": args.seed}
     if args.device is not None:
         changes["engine.backend" if args.device == "reference" else "engine.device"] = args.device
@@ -134,7 +132,6 @@ def run_job(
 
     from clalign.correspondence import FACTS_FILE
     from clalign.mesh.mesh import load_mesh
-    from clalign.storage.folders import check_destination
 
     with Interrupts() as interrupts:
         source, target = load_mesh(source_path), load_mesh(target_path)
@@ -181,7 +178,6 @@ def _matched(
 ) -> Correspondence:
     """Match, and show each warning once: those that a user should read are raised and kept in the result, too."""
     import clalign
-    from clalign.errors import ClalignWarning
     from clalign.geometry.cache import ShapeCache
 
     match = clalign.match

@@ -35,7 +35,7 @@ from clalign.cli import (
     transfer,
 )
 from clalign.ctrl_c import plain_interrupts
-from clalign.errors import ClalignError, DeviceError, InputError
+from clalign.errors import ClalignError, ClalignWarning, DeviceError, InputError
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -209,7 +209,6 @@ def _show_warning(
     line: str | None = None,
 ) -> None:
     # What other libraries warn of (deprecations, mostly) is nothing that a user of the command can act on.
-    from clalign.errors import ClalignWarning
 
     if issubclass(category, ClalignWarning):
         print(f"warning: {message}", file=sys.stderr)

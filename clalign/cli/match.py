@@ -32,12 +32,7 @@ examples:
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``match`` to the program."""
-    parser = subparsers.add_parser(
-        "match",
-        help="match two mesh files",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-    )
+    parser = subparsers.add_parser("match", help="match two mesh files", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("source", metavar="SOURCE", type=Path, help="mesh whose vertices are mapped")
     parser.add_argument("target", metavar="TARGET", type=Path, help="mesh that they are mapped to")
     add_job_arguments(parser, DEFAULT_FOLDER)

@@ -14,6 +14,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from clalign.errors import ClalignError
+from clalign.options import Options
+
 PROBE_SECONDS = 180.0
 
 
@@ -35,7 +38,6 @@ def probe(*arguments: str) -> dict[str, Any]:
 
 
 def _answer(arguments: list[str]) -> dict[str, Any]:
-    from clalign.errors import ClalignError
 
     try:
         return _checks(arguments[0], arguments[1]) if arguments else _devices()
@@ -52,7 +54,6 @@ def _devices() -> dict[str, Any]:
 def _checks(specification: str, precision: str) -> dict[str, Any]:
     from clalign.engine import open_backend
     from clalign.engine.self_test import self_test
-    from clalign.options import Options
 
     options = Options().replace({"engine.device": specification, "engine.precision": precision})
     checks = self_test(open_backend(options.engine))

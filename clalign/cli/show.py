@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import sys
+import webbrowser
 from pathlib import Path
+
+from clalign.errors import ResultError
 
 _DESCRIPTION = """\
 Look at a saved match: both shapes side by side in a window, coloured alike where they match (needs the extra "view",
@@ -13,11 +17,7 @@ pip install 'clalign[view]'). With --page, the page report.html opens in the web
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``show`` to the program."""
-    parser = subparsers.add_parser(
-        "show",
-        help="look at a saved match",
-        description=_DESCRIPTION,
-    )
+    parser = subparsers.add_parser("show", help="look at a saved match", description=_DESCRIPTION)
     parser.add_argument("result", metavar="RESULT", type=Path, help="folder that 'clalign match' wrote")
     parser.add_argument("--page", action="store_true", help="open the page in the web browser")
     parser.add_argument("--screenshot", metavar="FILE", type=Path, help="write a PNG instead of opening a window")
@@ -38,11 +38,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _open_page(args: argparse.Namespace) -> int:
-    import sys
-    import webbrowser
 
     from clalign.correspondence import Correspondence
-    from clalign.errors import ResultError
     from clalign.presentation.report import write_report
 
     page = args.result.resolve() / "report.html"

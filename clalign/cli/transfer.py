@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clalign.errors import InputError, ResultError
+
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
 
@@ -71,7 +73,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Carry one file and write what comes out."""
     from clalign.correspondence import Correspondence
-    from clalign.errors import ResultError
 
     correspondence = Correspondence.load(args.result)
     carry = {"texture": _texture, "deformation": _deformation}.get(args.kind, _values)
@@ -99,7 +100,6 @@ def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
 
 
 def _texture(correspondence: Correspondence, args: argparse.Namespace) -> None:
-    from clalign.errors import InputError
     from clalign.transfer.texture import carry_texture, read_texture, write_textured_obj
     from clalign.transfer.transfer import sides
 

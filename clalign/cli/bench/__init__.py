@@ -18,9 +18,7 @@ SUBCOMMANDS = (bench_accuracy, bench_study, bench_collection, bench_kernels, ben
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``bench`` with all its subcommands to the program."""
     parser = subparsers.add_parser(
-        "bench",
-        help="run a benchmark",
-        description="Run a benchmark: accuracy on a data set, or speed.",
+        "bench", help="run a benchmark", description="Run a benchmark: accuracy on a data set, or speed."
     )
     inner = parser.add_subparsers(title="benchmarks", metavar="BENCHMARK", required=True)
     for subcommand in SUBCOMMANDS:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clalign.benchmark.methods import NAMED, split_list
+from clalign.benchmark.methods import NAMED, named_methods, split_list
 from clalign.cli.bench.common import (
     EXIT_INTERRUPTED,
     add_option_arguments,
@@ -18,6 +18,7 @@ from clalign.cli.bench.common import (
 )
 from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
+from clalign.errors import InputError, OptionError
 
 if TYPE_CHECKING:
     from clalign.benchmark.layouts import Layout
@@ -64,10 +65,7 @@ def _add(
     run: Callable[[argparse.Namespace], int],
 ) -> argparse.ArgumentParser:
     parser = subparsers.add_parser(
-        name,
-        help=text,
-        description=f"Match all pairs of a data set and measure the errors: {text}.",
-        epilog=_EPILOG,
+        name, help=text, description=f"Match all pairs of a data set and measure the errors: {text}.", epilog=_EPILOG
     )
     parser.add_argument(
         "--methods",
@@ -116,9 +114,7 @@ def run_robustness(args: argparse.Namespace) -> int:
 
 def _bench(layouts: Sequence[Layout], args: argparse.Namespace) -> int:
     """Run, show a line a pair, write the summary; 1 when a pair has no map."""
-    from clalign.benchmark.methods import named_methods
     from clalign.benchmark.runner import Measurement
-    from clalign.errors import OptionError
     from clalign.evaluation.distances import METHODS
 
     if args.distances not in METHODS:
@@ -159,7 +155,6 @@ def _draw_curves(records: Sequence[Record], folder: Path, terminal: Terminal) ->
     """Draw the mean curve of each suite and method, per sqrt(area) and per diameter."""
     from clalign.benchmark.records import read_curves
     from clalign.benchmark.table import mean_curve
-    from clalign.errors import InputError
     from clalign.presentation.curves import AXIS_LABELS, save_error_curves
 
     groups: dict[str, list[Record]] = {}

@@ -5,14 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clalign.benchmark.methods import Method
 from clalign.cli.terminal import Terminal
+from clalign.errors import ResultError
 
 if TYPE_CHECKING:
     from clalign.benchmark.layouts import Layout
-    from clalign.benchmark.methods import Method
     from clalign.benchmark.performance import Machine
     from clalign.benchmark.records import Record
     from clalign.benchmark.runner import Measurement, Run
@@ -131,10 +133,7 @@ def deliver(
     ResultError
         A file cannot be written, or has no section of that name.
     """
-    from dataclasses import asdict
-
     from clalign.benchmark.table import update_file
-    from clalign.errors import ResultError
 
     whole = {"machine": asdict(machine), **document}
     text = "\n\n".join([*(f"{heading}\n\n{table}" for heading, table in tables.items()), f"Measured on {machine}."])

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from clalign.cli.terminal import Terminal
+from clalign.errors import ResultError
 
 _DESCRIPTION = """\
 Match generated pairs of growing size, one of them with other options too, and the bundled pair, each in a process of
@@ -20,9 +21,7 @@ programs meanwhile change the memory not at all and the processor time little.
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``forecast``."""
     parser = subparsers.add_parser(
-        "forecast",
-        help="calibrate the forecast of memory and time",
-        description=_DESCRIPTION,
+        "forecast", help="calibrate the forecast of memory and time", description=_DESCRIPTION
     )
     parser.add_argument("--out", metavar="FILE", type=Path, help="write the coefficients to FILE instead")
     parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
@@ -34,7 +33,6 @@ def run(args: argparse.Namespace) -> int:
     from clalign import resources
     from clalign.benchmark.calibration import Measured, measurements, table
     from clalign.benchmark.performance import bytes_text, this_machine
-    from clalign.errors import ResultError
 
     terminal, machine = Terminal(quiet=args.quiet), this_machine()
     out = args.out or resources.TABLE

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.cli.bench.common import add_output_arguments, deliver
 from clalign.cli.terminal import Terminal
+from clalign.data import bundled_pair
+from clalign.errors import OptionError
+from clalign.options import EngineOptions
 
 if TYPE_CHECKING:
     from clalign.benchmark.kernels import KernelRate, SpectraTimes
@@ -25,11 +29,7 @@ PARTS = ("kernels", "losses", "spectra")
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``kernels``."""
-    parser = subparsers.add_parser(
-        "kernels",
-        help="rates of the kernels on a device",
-        description=_DESCRIPTION,
-    )
+    parser = subparsers.add_parser("kernels", help="rates of the kernels on a device", description=_DESCRIPTION)
     parser.add_argument("--quick", action="store_true", help="small sizes only: half a minute instead of several")
     parser.add_argument("--parts", metavar="NAMES", default=",".join(PARTS), help="comma-separated (default: all)")
     parser.add_argument("--device", metavar="SPEC", default="", help="as of 'clalign match'")
@@ -41,14 +41,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Measure what was asked for and show it."""
-    from dataclasses import asdict
-
     from clalign.benchmark.kernels import kernel_table, spectra_table
     from clalign.benchmark.losses import loss_table
     from clalign.benchmark.performance import this_machine
     from clalign.engine.kernels import open_kernels
-    from clalign.errors import OptionError
-    from clalign.options import EngineOptions
 
     parts = [part.strip() for part in args.parts.split(",")]
     if not set(parts) <= set(PARTS):
@@ -96,7 +92,6 @@ def _loss_times(kernels: Kernels, args: argparse.Namespace, terminal: Terminal) 
 
 def _spectra_times(args: argparse.Namespace, terminal: Terminal) -> SpectraTimes:
     from clalign.benchmark.kernels import measure_spectra
-    from clalign.data import bundled_pair
     from clalign.mesh.mesh import load_mesh
 
     terminal.note("spectra of a shape")

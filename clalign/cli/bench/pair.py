@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver
 from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
+from clalign.data import bundled_pair
+from clalign.errors import OptionError
+from clalign.options import Options
 
 _DESCRIPTION = """\
 Match two meshes in processes of their own: once as on a new machine, where OpenCL programs are built too, then in
@@ -17,11 +21,7 @@ turn with an empty and a filled cache of shapes. A time runs from the start of t
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``pair``."""
-    parser = subparsers.add_parser(
-        "pair",
-        help="time and memory of a whole match",
-        description=_DESCRIPTION,
-    )
+    parser = subparsers.add_parser("pair", help="time and memory of a whole match", description=_DESCRIPTION)
     parser.add_argument("source", metavar="SOURCE", type=Path, nargs="?", help="mesh file (default: the bundled pair)")
     parser.add_argument("target", metavar="TARGET", type=Path, nargs="?", help="mesh file")
     parser.add_argument("--peer", choices=["pyfm"], help="let pyFM match the pair in the same rounds")
@@ -34,15 +34,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Time the pair and show the table."""
-    from dataclasses import asdict
-
     from clalign.benchmark.pair import measure_pair, pair_table
     from clalign.benchmark.peers import PyfmMethod
     from clalign.benchmark.performance import bytes_text, this_machine
-    from clalign.data import bundled_pair
-    from clalign.errors import OptionError
     from clalign.mesh.mesh import load_mesh
-    from clalign.options import Options
 
     if (args.source is None) != (args.target is None):
         raise OptionError("give both SOURCE and TARGET, or neither for the bundled pair")

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver
 from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
+from clalign.errors import OptionError
+from clalign.options import Options
 
 SIZES = "5000,10000,20000,50000,100000,200000"
 
@@ -21,9 +24,7 @@ stage, the peak memory, the mean distance to the true vertex (x 100, in sqrt(are
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``scale``."""
     parser = subparsers.add_parser(
-        "scale",
-        help="time and memory over the number of vertices",
-        description=_DESCRIPTION,
+        "scale", help="time and memory over the number of vertices", description=_DESCRIPTION
     )
     parser.add_argument(
         "--sizes",
@@ -40,11 +41,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Time all sizes and show the table."""
-    from dataclasses import asdict
-
     from clalign.benchmark.pair import measure_scale, scale_table, stage_exponents
     from clalign.benchmark.performance import bytes_text, this_machine
-    from clalign.options import Options
     from clalign.presentation.performance_plot import save_scale_plot
 
     sizes = parsed_sizes(args.sizes)
@@ -76,7 +74,6 @@ def parsed_sizes(text: str) -> list[int]:
         Something in it is not a positive whole number.
     """
     from clalign.benchmark.generated import SMALLEST
-    from clalign.errors import OptionError
 
     words = [word.strip() for word in text.split(",")]
     if not all(word.isdecimal() and int(word) >= SMALLEST for word in words):

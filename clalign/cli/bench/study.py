@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clalign.benchmark.study import STUDIES
+from clalign.benchmark.study import STUDIES, Study, methods_of, study_of, study_table
 from clalign.cli.bench.common import (
     EXIT_INTERRUPTED,
     add_option_arguments,
@@ -17,12 +18,12 @@ from clalign.cli.bench.common import (
 )
 from clalign.cli.job import option_changes
 from clalign.cli.terminal import Terminal
+from clalign.errors import OptionError
+from clalign.options import Options
 
 if TYPE_CHECKING:
     from clalign.benchmark.layouts import Layout
     from clalign.benchmark.runner import Run
-    from clalign.benchmark.study import Study
-    from clalign.options import Options
 
 _DESCRIPTION = """\
 Vary one choice of the method over the pairs of a folder in the layout of the humans, all else as in the preset, and
@@ -68,9 +69,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Run the studies of the command line; 1 when a pair has no map."""
     from clalign.benchmark.runner import Measurement
-    from clalign.benchmark.study import methods_of, study_of
-    from clalign.errors import OptionError
-    from clalign.options import Options
 
     names = [word.strip() for word in args.of.split(",") if word.strip()] + args.vary
     if not names:
@@ -95,7 +93,6 @@ def run(args: argparse.Namespace) -> int:
 def _layouts(args: argparse.Namespace) -> tuple[Layout, ...]:
     """Read the pairs of the command line."""
     from clalign.benchmark.layouts import faust, humans
-    from clalign.errors import OptionError
 
     if (args.path is None) == (args.root is None):
         raise OptionError("name either a folder in the layout of the humans, or with --root one of FAUST's")
@@ -106,9 +103,6 @@ def _report(
     name: str, study: Study, finished: Run, base: Options, args: argparse.Namespace, terminal: Terminal
 ) -> list[dict[str, object]]:
     """Write and show the table of one study, and return its summaries as plain values."""
-    from dataclasses import asdict
-
-    from clalign.benchmark.study import study_table
     from clalign.benchmark.table import failures, summarise, update_file
 
     summaries = summarise(finished.records)
