@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clalign.benchmark.methods import MethodRuns, split_list
 from clalign.cli.bench.common import add_option_arguments
 from clalign.cli.job import option_changes
-from clalign.cli.terminal import Terminal
+from clalign.cli.terminal import Progress, Terminal
 from clalign.data import bundled_pair
 from clalign.errors import OptionError, ResultError
 from clalign.options import Options
@@ -86,11 +85,12 @@ def run(args: argparse.Namespace) -> int:
         paths = save_drawing(draw_recorded_curves(args.paths[0]), args.out, "figure-5")
         written["5"] = [str(path) for path in paths]
     else:
-        subject = _subject(args, terminal)
-        for number in _possible(wanted, subject, explicit=args.which != "all", terminal=terminal):
-            terminal.note(f"figure {number}: {PLANS[number].title}")
-            paths = save_drawing(PLANS[number].draw(subject), args.out, f"figure-{number}")
-            written[number] = [str(path) for path in paths]
+        with terminal.progress() as progress:
+            subject = _subject(args, terminal, progress)
+            for number in _possible(wanted, subject, explicit=args.which != "all", terminal=terminal):
+                terminal.note(f"figure {number}: {PLANS[number].title}")
+                paths = save_drawing(PLANS[number].draw(subject), args.out, f"figure-{number}")
+                written[number] = [str(path) for path in paths]
     for number, names in written.items():
         terminal.say(f"figure {number}: {', '.join(names)}")
     terminal.document({"figures": written})
@@ -131,7 +131,7 @@ def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: 
     return [number for number in wanted if number not in untrue + unlike]
 
 
-def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
+def _subject(args: argparse.Namespace, terminal: Terminal, progress: Progress) -> Subject:
     """Read the pair, its truth and what is matched already."""
     from clalign.geometry.cache import ShapeCache
     from clalign.presentation.figures.gallery import MAIN, Subject
@@ -150,23 +150,20 @@ def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
         raise OptionError("--set changes nothing of a result that is there: name the two meshes instead")
     default = Options()
     comparable = known is None or dataclasses.replace(known.options, engine=default.engine, seed=0) == default
+
+    def watch(name: str) -> Progress:
+        terminal.note(f"matching by {name}")
+        return progress
+
     runs = MethodRuns(
         pair,
         changes,
         cache=None if args.no_cache else ShapeCache(),
-        watch=_watch(terminal),
+        watch=watch,
         known={} if known is None else {MAIN: known},
     )
     names = tuple(split_list(args.variants)) if args.variants else ()
     return Subject(pair, runs, names, args.index, args.pair_index, args.height, comparable)
-
-
-def _watch(terminal: Terminal) -> Callable[[str], Callable[[str, float, str], None]]:
-    def watch(name: str) -> Callable[[str, float, str], None]:
-        terminal.note(f"matching by {name}")
-        return terminal.progress()
-
-    return watch
 
 
 def _bundled() -> LoadedPair:
