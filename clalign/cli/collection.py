@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clalign.cli.job import add_job_arguments, options_from
+from clalign.cli.match import add_job_arguments, options_from
 from clalign.cli.terminal import Terminal, table
 from clalign.errors import OptionError
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clalign.cli.terminal import Terminal, table
+from clalign.data import bundled_pair
 from clalign.errors import ResultError
 
 if TYPE_CHECKING:
@@ -136,6 +137,17 @@ def read_truth(words: list[str], base: Base | None, source: Mesh, target: Mesh) 
     if len(words) == 2:
         return read_pair_truth(words[0], words[1], base=base, **counts)
     raise ResultError(f"--truth takes one file or two, not {len(words)}")
+
+
+def bundled_truths(source: Mesh, target: Mesh) -> tuple[Truth, Truth]:
+    """Return the true map of the bundled pair, and that of its mirror image."""
+    from clalign.evaluation.truth import read_index_truth
+
+    truth, mirrored = (
+        read_index_truth(path, source_count=source.file_count, target_count=target.file_count)
+        for path in (bundled_pair().truth, bundled_pair().mirrored)
+    )
+    return truth, mirrored
 
 
 def summary_rows(evaluation: Evaluation) -> list[tuple[str, str]]:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 from clalign.benchmark.methods import MethodRuns, split_list
 from clalign.cli.bench.common import add_option_arguments
-from clalign.cli.job import option_changes
+from clalign.cli.evaluate import bundled_truths, read_truth
+from clalign.cli.match import option_changes
 from clalign.cli.terminal import Progress, Terminal
 from clalign.data import bundled_pair
 from clalign.errors import OptionError, ResultError
@@ -133,7 +134,9 @@ def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: 
 
 def _subject(args: argparse.Namespace, terminal: Terminal, progress: Progress) -> Subject:
     """Read the pair, its truth and what is matched already."""
+    from clalign.benchmark.pairs import LoadedPair
     from clalign.geometry.cache import ShapeCache
+    from clalign.mesh.mesh import load_mesh
     from clalign.presentation.figures.gallery import MAIN, Subject
 
     if args.height < 20:
@@ -142,7 +145,8 @@ def _subject(args: argparse.Namespace, terminal: Terminal, progress: Progress) -
         raise OptionError(f"name one result folder or two meshes, not {len(args.paths)} paths")
     known: Correspondence | None = None
     if not args.paths:
-        pair = _bundled()
+        source, target = (load_mesh(path) for path in bundled_pair()[:2])
+        pair = LoadedPair("bundled humans", source, target, *bundled_truths(source, target))
     else:
         pair, known = _named(args)
     changes = option_changes(args)
@@ -166,25 +170,10 @@ def _subject(args: argparse.Namespace, terminal: Terminal, progress: Progress) -
     return Subject(pair, runs, names, args.index, args.pair_index, args.height, comparable)
 
 
-def _bundled() -> LoadedPair:
-    from clalign.benchmark.pairs import LoadedPair
-    from clalign.evaluation.truth import read_index_truth
-    from clalign.mesh.mesh import load_mesh
-
-    pair = bundled_pair()
-    source, target = load_mesh(pair.source), load_mesh(pair.target)
-    truth, mirrored = (
-        read_index_truth(path, source_count=source.file_count, target_count=target.file_count)
-        for path in (pair.truth, pair.mirrored)
-    )
-    return LoadedPair("bundled humans", source, target, truth, mirrored)
-
-
 def _named(args: argparse.Namespace) -> tuple[LoadedPair, Correspondence | None]:
     import numpy as np
 
     from clalign.benchmark.pairs import LoadedPair
-    from clalign.cli.evaluate import read_truth
     from clalign.correspondence import Correspondence
     from clalign.evaluation.truth import Truth, read_mirror
     from clalign.mesh.mesh import load_mesh

@@ -16,7 +16,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
-from typing import Any, NoReturn, Protocol, TextIO
+from typing import Any, NoReturn
 
 from clalign import __version__
 from clalign.cli import (
@@ -24,7 +24,6 @@ from clalign.cli import (
     cache,
     check,
     collection,
-    demo,
     doctor,
     evaluate,
     export,
@@ -42,27 +41,12 @@ EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 
 
-class Command(Protocol):
-    """What a module of this folder offers."""
-
-    def add_parser(self, subparsers: argparse._SubParsersAction[Any]) -> None:
-        """Add the command's parser and set its ``run`` default."""
-
-
-COMMANDS: tuple[Command, ...] = (
-    match,
-    demo,
-    check,
-    collection,
-    show,
-    transfer,
-    export,
-    evaluate,
-    figures,
-    bench,
-    cache,
-    options,
-    doctor,
+#: Each adds its parser, with the function that runs it as the default of ``run``.
+COMMANDS = (
+    match.add_match,
+    match.add_demo,
+    *(module.add_parser for module in (check, collection, show, transfer, export, evaluate, figures)),
+    *(module.add_parser for module in (bench, cache, options, doctor)),
 )
 
 _DESCRIPTION = "Dense correspondence between two non-rigid triangle meshes, computed with OpenCL."
@@ -117,8 +101,8 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"clalign {__version__}")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_CommandParser)
-    for command in COMMANDS:
-        command.add_parser(subparsers)
+    for add in COMMANDS:
+        add(subparsers)
     return parser
 
 
@@ -200,16 +184,8 @@ def _set_up_messages(debug: bool) -> None:
         warnings.showwarning = _show_warning
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
+def _show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     # What other libraries warn of (deprecations, mostly) is nothing that a user of the command can act on.
-
     if issubclass(category, ClalignWarning):
         print(f"warning: {message}", file=sys.stderr)
 

@@ -50,7 +50,7 @@ class Terminal:
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:
-        """Yield what takes ``(stage, fraction, message)`` and shows it: as bars, as plain lines in a log, or not at all."""
+        """Yield what shows the progress: as bars on a terminal, as plain lines in a log, or not at all."""
         if self.quiet:
             yield lambda stage, fraction, message="": None
         elif sys.stderr.isatty():

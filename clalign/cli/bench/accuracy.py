@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ from clalign.cli.bench.common import (
     limited,
     run_methods,
 )
-from clalign.cli.job import option_changes
+from clalign.cli.match import option_changes
 from clalign.cli.terminal import Terminal
 from clalign.errors import InputError, OptionError
 from clalign.options import Options
@@ -36,12 +36,12 @@ curve.png. Run the same command again to go on after an interruption; pairs that
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``humans``, ``animals``, ``faust`` and ``robustness``."""
-    humans = _add(subparsers, "humans", "posed humans, or any folder in their layout", run_humans)
+    humans = _add(subparsers, "humans", "posed humans, or any folder in their layout")
     humans.add_argument("path", metavar="PATH", type=Path, help="folder of meshes, or of such folders")
     humans.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
-    animals = _add(subparsers, "animals", "folders of frames with one connectivity, every pair of frames", run_animals)
+    animals = _add(subparsers, "animals", "folders of frames with one connectivity, every pair of frames")
     animals.add_argument("path", metavar="PATH", type=Path, help="folder of frames, or of such folders")
-    faust = _add(subparsers, "faust", "your copy of FAUST, remeshed FAUST, SCAPE or TOSCA", run_faust)
+    faust = _add(subparsers, "faust", "your copy of FAUST, remeshed FAUST, SCAPE or TOSCA")
     faust.add_argument("--root", metavar="DIR", type=Path, required=True, help="tr_reg_*.ply, or *.off (and corres/)")
     faust.add_argument(
         "--pairs",
@@ -50,7 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="'intra' (first pose of each subject with its others, default), 'inter', or a pairs file",
     )
     faust.set_defaults(methods="paper,paper-cycle,paper-isometric,paper-heat-kernel,default")
-    robustness = _add(subparsers, "robustness", "meshes against changed copies of themselves", run_robustness)
+    robustness = _add(subparsers, "robustness", "meshes against changed copies of themselves")
     robustness.add_argument("path", metavar="PATH", type=Path, help="folder of meshes")
     robustness.add_argument(
         "--changes",
@@ -62,10 +62,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def _add(
-    subparsers: argparse._SubParsersAction[argparse.ArgumentParser],
-    name: str,
-    text: str,
-    run: Callable[[argparse.Namespace], int],
+    subparsers: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str
 ) -> argparse.ArgumentParser:
     parser = subparsers.add_parser(
         name, help=text, description=f"Match all pairs of a data set and measure the errors: {text}.", epilog=_EPILOG
@@ -83,48 +80,28 @@ def _add(
     parser.add_argument("--points", metavar="N", type=int, help="points measured a pair (default: 500)")
     parser.add_argument("--distances", metavar="METHOD", default="heat", help="'heat' (default) or 'bounded'")
     add_output_arguments(parser, None, f"{name}, for whole lists")
-    parser.set_defaults(run=run, whole_section=name)
+    parser.set_defaults(run=run, suite=name)
     return parser
 
 
-def run_humans(args: argparse.Namespace) -> int:
-    """Run the pairs of a folder in the layout of the humans."""
-    from clalign.benchmark.layouts import humans
-
-    return _bench(humans(args.path, args.pairs), args)
-
-
-def run_animals(args: argparse.Namespace) -> int:
-    """Run all pairs of frames."""
-    from clalign.benchmark.layouts import animals
-
-    return _bench(animals(args.path), args)
-
-
-def run_faust(args: argparse.Namespace) -> int:
-    """Run a user's copy of FAUST or of a data set like it."""
-    from clalign.benchmark.layouts import faust
-
-    return _bench(faust(args.root, args.pairs), args)
-
-
-def run_robustness(args: argparse.Namespace) -> int:
-    """Run all meshes of a folder against changed copies."""
+def run(args: argparse.Namespace) -> int:
+    """Run the pairs of a suite, show a line a pair, write the summary; 1 when a pair has no map."""
+    from clalign.benchmark.layouts import animals, faust, humans
     from clalign.benchmark.robustness import robustness
-
-    return _bench(robustness(args.path, [change.strip() for change in args.alterations.split(",")]), args)
-
-
-def _bench(layouts: Sequence[Layout], args: argparse.Namespace) -> int:
-    """Run, show a line a pair, write the summary; 1 when a pair has no map."""
     from clalign.benchmark.runner import Measurement
     from clalign.evaluation.distances import METHODS
 
+    layouts = {
+        "humans": lambda: humans(args.path, args.pairs),
+        "animals": lambda: animals(args.path),
+        "faust": lambda: faust(args.root, args.pairs),
+        "robustness": lambda: robustness(args.path, split_list(args.alterations)),
+    }[args.suite]()
     if args.distances not in METHODS:
         raise OptionError(f"--distances must be one of {', '.join(METHODS)}; got {args.distances!r}")
     if args.update and args.limit is not None and args.section is None:
         raise OptionError(
-            f"--limit with --update would put a part of the pairs into the section {args.whole_section!r}, which is "
+            f"--limit with --update would put a part of the pairs into the section {args.suite!r}, which is "
             "for all of them: name another one with --section"
         )
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
@@ -150,7 +127,7 @@ def _report(finished: Run, args: argparse.Namespace, terminal: Terminal) -> int:
         print(document, end="")
     _draw_curves(finished.records, args.out, terminal)
     for page in args.update:
-        update_file(page, args.section or args.whole_section, text, markdown(summaries, SHORT_COLUMNS))
+        update_file(page, args.section or args.suite, text, markdown(summaries, SHORT_COLUMNS))
     return 1 if any(record.failed for record in finished.records) or not finished.records else 0
 
 

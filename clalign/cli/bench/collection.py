@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from clalign.cli.bench.common import add_option_arguments, add_output_arguments
-from clalign.cli.job import option_changes
+from clalign.cli.match import option_changes
 from clalign.cli.terminal import Terminal
 from clalign.options import Options
 

@@ -6,19 +6,14 @@ import argparse
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from clalign.cli.bench.common import add_option_arguments, add_output_arguments, deliver
-from clalign.cli.job import option_changes
+from clalign.cli.match import option_changes
 from clalign.cli.terminal import Terminal
 from clalign.data import bundled_pair
 from clalign.errors import OptionError, ResultError
 from clalign.options import EngineOptions, Options
-
-if TYPE_CHECKING:
-    from clalign.benchmark.kernels import KernelRate, SpectraTimes
-    from clalign.benchmark.losses import LossTimes
-    from clalign.engine.kernels import Kernels
 
 _KERNELS = """\
 Time every kernel beside numpy doing the same work (a matrix product of as many operations for the fused ones) and
@@ -43,10 +38,11 @@ def add_kernels(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
 
 def run_kernels(args: argparse.Namespace) -> int:
     """Measure what was asked for and show it."""
-    from clalign.benchmark.kernels import kernel_table, spectra_table
-    from clalign.benchmark.losses import loss_table
+    from clalign.benchmark import losses
+    from clalign.benchmark.kernels import SIZES, kernel_table, measure_kernels, measure_spectra, spectra_table
     from clalign.benchmark.performance import this_machine
     from clalign.engine.kernels import open_kernels
+    from clalign.mesh.mesh import load_mesh
 
     parts = [part.strip() for part in args.parts.split(",")]
     if not set(parts) <= set(PARTS):
@@ -58,49 +54,29 @@ def run_kernels(args: argparse.Namespace) -> int:
     tables: dict[str, str] = {}
     document: dict[str, Any] = {"device": kernels.device.describe()}
     if "kernels" in parts:
-        rates = _kernel_rates(kernels, args, terminal)
+        rates = []
+        for rate in measure_kernels(kernels, SIZES[:1] if args.quick else SIZES, args.repeat):
+            rates.append(rate)
+            terminal.note(f"{rate.kernel} {rate.size}: {rate.rate:.1f} {rate.unit}, {rate.ratio:.2f} of {rate.other}")
         tables[f"Kernels on {kernels.name}"] = kernel_table(rates)
         document["kernels"] = [asdict(rate) | {"ratio": rate.ratio} for rate in rates]
     if "losses" in parts:
-        losses = _loss_times(kernels, args, terminal)
-        tables["One value and gradient of the objective, random arrays"] = loss_table(losses)
-        document["losses"] = asdict(losses) | {"ratio": losses.ratio, "exponent": losses.exponent}
+        terminal.note("value and gradient of the objective")
+        if args.quick:
+            sizes, dense = losses.QUICK_SIZES, losses.QUICK_DENSE_SIZE
+            times = losses.measure_losses(kernels, sizes, dense, repeats=args.repeat)
+        else:
+            times = losses.measure_losses(kernels, repeats=args.repeat)
+        tables["One value and gradient of the objective, random arrays"] = losses.loss_table(times)
+        document["losses"] = asdict(times) | {"ratio": times.ratio, "exponent": times.exponent}
     if "spectra" in parts:
-        spectra = _spectra_times(args, terminal)
+        terminal.note("spectra of a shape")
+        mesh = load_mesh(bundled_pair().source)
+        spectra = measure_spectra(mesh, 60, 120, repeats=1) if args.quick else measure_spectra(mesh)
         tables["Spectra of the bundled shape"] = spectra_table(spectra)
         document["spectra"] = asdict(spectra) | {"ratio": spectra.ratio}
     deliver(tables, document, machine, args, terminal)
     return 0
-
-
-def _kernel_rates(kernels: Kernels, args: argparse.Namespace, terminal: Terminal) -> list[KernelRate]:
-    from clalign.benchmark.kernels import SIZES, measure_kernels
-
-    rates = []
-    for rate in measure_kernels(kernels, SIZES[:1] if args.quick else SIZES, args.repeat):
-        rates.append(rate)
-        terminal.note(f"{rate.kernel} {rate.size}: {rate.rate:.1f} {rate.unit}, {rate.ratio:.2f} of {rate.other}")
-    return rates
-
-
-def _loss_times(kernels: Kernels, args: argparse.Namespace, terminal: Terminal) -> LossTimes:
-    from clalign.benchmark import losses
-
-    terminal.note("value and gradient of the objective")
-    if args.quick:
-        return losses.measure_losses(kernels, losses.QUICK_SIZES, losses.QUICK_DENSE_SIZE, repeats=args.repeat)
-    return losses.measure_losses(kernels, repeats=args.repeat)
-
-
-def _spectra_times(args: argparse.Namespace, terminal: Terminal) -> SpectraTimes:
-    from clalign.benchmark.kernels import measure_spectra
-    from clalign.mesh.mesh import load_mesh
-
-    terminal.note("spectra of a shape")
-    mesh = load_mesh(bundled_pair().source)
-    if args.quick:
-        return measure_spectra(mesh, 60, 120, repeats=1)
-    return measure_spectra(mesh)
 
 
 _PAIR = """\
