@@ -129,13 +129,8 @@ def examine(path: Path, options: Options) -> dict[str, Any]:
 def _findings(diagnosis: Diagnosis, path: str) -> list[dict[str, Any]]:
     return [
         {
-            "kind": defect.kind,
-            "severity": str(defect.severity),
-            "count": defect.count,
+            **{name: getattr(defect, name) for name in ("kind", "severity", "count", "vertices", "faces", "action")},
             "sentence": defect.sentence(),
-            "vertices": list(defect.vertices),
-            "faces": list(defect.faces),
-            "action": defect.action,
             "way_out": defect.way_out(path),
         }
         for defect in diagnosis.defects

@@ -15,24 +15,11 @@ import os
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from clalign import __version__
-from clalign.cli import (
-    bench,
-    cache,
-    check,
-    collection,
-    doctor,
-    evaluate,
-    export,
-    figures,
-    match,
-    options,
-    show,
-    transfer,
-)
+from clalign.cli import bench, cache, check, collection, doctor, evaluate, figures, match, options, saved
 from clalign.ctrl_c import plain_interrupts
 from clalign.errors import ClalignError, ClalignWarning, DeviceError, InputError
 
@@ -42,11 +29,10 @@ EXIT_INTERRUPTED = 130
 
 
 #: Each adds its parser, with the function that runs it as the default of ``run``.
-COMMANDS = (
-    match.add_match,
-    match.add_demo,
-    *(module.add_parser for module in (check, collection, show, transfer, export, evaluate, figures)),
-    *(module.add_parser for module in (bench, cache, options, doctor)),
+COMMANDS: tuple[Callable[[Any], None], ...] = (
+    *(match.add_match, match.add_demo, check.add_parser, collection.add_parser),
+    *(saved.add_show, saved.add_transfer, saved.add_export, evaluate.add_parser, figures.add_parser),
+    *(bench.add_parser, cache.add_parser, options.add_parser, doctor.add_parser),
 )
 
 _DESCRIPTION = "Dense correspondence between two non-rigid triangle meshes, computed with OpenCL."
