@@ -82,7 +82,8 @@ def run(args: argparse.Namespace) -> int:
     wanted = _wanted(args.which, tuple(PLANS))
     written: dict[str, list[str]] = {}
     if len(args.paths) == 1 and (args.paths[0] / RECORDS_FILE).is_file():
-        _check_recorded(args.which, wanted)
+        if args.which != "all" and wanted != ["5"]:
+            raise OptionError("the folder of a benchmark has error curves only: ask for --which 5")
         paths = save_drawing(draw_recorded_curves(args.paths[0]), args.out, "figure-5")
         written["5"] = [str(path) for path in paths]
     else:
@@ -109,21 +110,15 @@ def _wanted(text: str, known: tuple[str, ...]) -> list[str]:
     return list(dict.fromkeys(numbers))
 
 
-def _check_recorded(text: str, wanted: list[str]) -> None:
-
-    if text != "all" and wanted != ["5"]:
-        raise OptionError("the folder of a benchmark has error curves only: ask for --which 5")
-
-
 def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: Terminal) -> list[str]:
     from clalign.presentation.figures.gallery import PLANS
 
-    plans = {number: PLANS[number] for number in wanted}
-    untrue = [number for number, plan in plans.items() if plan.needs_truth and not subject.has_truth]
-    unlike = [number for number, plan in plans.items() if plan.compares and not subject.comparable]
+    untrue = [number for number in wanted if PLANS[number].needs_truth and not subject.has_truth]
+    unlike = [number for number in wanted if PLANS[number].compares and not subject.comparable]
+    unlike = [number for number in unlike if number not in untrue]
     for numbers, why in (
         (untrue, "without --truth"),
-        ([number for number in unlike if number not in untrue], "of a result with options of its own: name its meshes"),
+        (unlike, "of a result with options of its own: name its meshes"),
     ):
         if numbers and explicit:
             raise OptionError(f"figure {', '.join(numbers)} cannot be drawn {why}")

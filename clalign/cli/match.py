@@ -9,6 +9,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -250,23 +251,16 @@ def _matched(
 def _extra_files(
     result: Correspondence, evaluation: Evaluation | None, args: argparse.Namespace, terminal: Terminal
 ) -> Callable[[Path], None]:
-    def picture(path: Path) -> None:
+    def write(folder: Path) -> None:
         from clalign.presentation.picture import save_match_picture
-
-        save_match_picture(result, path)
-
-    def report(path: Path) -> None:
         from clalign.presentation.report import write_report
 
-        write_report(result, path, evaluation=evaluation)
-
-    def write(folder: Path) -> None:
         if evaluation is not None:
             evaluation.write_json(folder / EVALUATION_FILE)
         if not args.no_picture:
-            _drawn(picture, folder / PICTURE_FILE, terminal)
+            _drawn(partial(save_match_picture, result), folder / PICTURE_FILE, terminal)
         if not args.no_report:
-            _drawn(report, folder / REPORT_FILE, terminal)
+            _drawn(partial(write_report, result, evaluation=evaluation), folder / REPORT_FILE, terminal)
 
     return write
 

@@ -6,6 +6,7 @@ It keeps its device, a few prepared shapes and its own compiled kernels. What go
 from __future__ import annotations
 
 import logging
+import math
 import os
 import socket
 import sys
@@ -22,7 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from clalign.collection.derive import derived_correspondence
+import clalign
+from clalign.alignment.band import funnel_band
+from clalign.alignment.rotation import least_squares_start
 from clalign.collection.members import Member
 from clalign.collection.store import RESULT_FOLDER, Kind, PairMaps, PairRow, ShapeRow, Store, Subfolder, pair_key
 from clalign.correspondence import Correspondence, finite_or_none
@@ -35,8 +38,11 @@ from clalign.maps.functional_maps import two_way_functional_map
 from clalign.maps.point_maps import PointMaps
 from clalign.matching.loop import Clock
 from clalign.matching.pair import match_shapes
+from clalign.matching.result import local_distortion
+from clalign.matching.stages import refined_maps, steps_before_alignment
 from clalign.mesh.mesh import load_mesh
 from clalign.options import Options
+from clalign.refinement.zoomout import BoundSpectra, two_way_steps
 from clalign.storage.files import claim_kernel_folder
 
 try:
@@ -275,3 +281,52 @@ def _peak_memory() -> int | None:
 
 def _here() -> str:
     return f"{socket.gethostname()}:{os.getpid()}"
+
+
+def derived_correspondence(
+    source: Shape, target: Shape, functional: NDArray[np.float64], backend: Backend, options: Options
+) -> Correspondence:
+    """Return the correspondence that a functional map leads to: refined, with R and the read-out by least squares.
+
+    Parameters
+    ----------
+    source, target : prepared with the same options.
+    functional : (L, L) orthogonal, from coefficients in the first LBO functions of the source to those of the target.
+    """
+    clock = Clock()
+    source, target = equally_smoothed(source, target, options.spectrum)
+    with clock.stage("refinement"):
+        maps = refined_maps(source, target, functional, options, backend)
+    count = min(options.spectrum.scale_invariant, source.scale_invariant.count, target.scale_invariant.count)
+    scale_invariant = source.scale_invariant.head(count), target.scale_invariant.head(count)
+    with clock.stage("read-out"):
+        # As many steps as a match makes before and after its optimisation.
+        steps = steps_before_alignment(options) + options.readout.steps
+        spectra = BoundSpectra.of(*scale_invariant, backend)
+        maps = two_way_steps(spectra, maps, steps, (source.order, target.order), backend)
+    with clock.stage("start of R"):
+        band, one_sided = funnel_band(count, options.alignment), options.alignment.sides == "one"
+        start = least_squares_start(*scale_invariant, maps, band, backend, one_sided=one_sided)
+    return Correspondence(
+        source=source.mesh,
+        target=target.mesh,
+        target_of_source=source.mesh.map_to_file(target.mesh, maps.target_of_source),
+        source_of_target=target.mesh.map_to_file(source.mesh, maps.source_of_target),
+        functional_map=functional,
+        rotation=start.rotation,
+        source_basis=source.basis.head(max(len(functional), options.spectrum.basis)),
+        target_basis=target.basis.head(max(len(functional), options.spectrum.basis)),
+        source_scale_invariant=scale_invariant[0].head(count, start.signs),
+        target_scale_invariant=scale_invariant[1],
+        history=(),
+        losses={},
+        confidence=math.nan,
+        orientation=math.nan,
+        distortion=local_distortion(source, target, maps.target_of_source),
+        alternatives=(),
+        timings=clock.seconds,
+        warnings=tuple(f"{mesh.name}: {note}" for mesh in (source.mesh, target.mesh) for note in mesh.notes),
+        device=backend.name,
+        options=options,
+        versions={"clalign": clalign.__version__, "numpy": np.__version__},
+    )

@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING
 
 from clalign.benchmark.methods import NAMED, named_methods, split_list
 from clalign.benchmark.study import STUDIES, Study, methods_of, study_of, study_table
-from clalign.cli.bench.common import (
-    EXIT_INTERRUPTED,
-    add_option_arguments,
-    add_output_arguments,
-    add_run_arguments,
-    limited,
-    run_methods,
-)
+from clalign.cli.bench.common import add_option_arguments, add_output_arguments
 from clalign.cli.match import option_changes
 from clalign.cli.terminal import Terminal
 from clalign.errors import InputError, OptionError
@@ -25,8 +18,11 @@ from clalign.options import Options
 
 if TYPE_CHECKING:
     from clalign.benchmark.layouts import Layout
+    from clalign.benchmark.methods import Method
     from clalign.benchmark.records import Record
-    from clalign.benchmark.runner import Run
+    from clalign.benchmark.runner import Measurement, Run
+
+EXIT_INTERRUPTED = 130
 
 _EPILOG = """\
 The folder DIR gets pairs.csv (a row a pair, written as soon as it is known), curves.csv, summary.json, summary.md and
@@ -240,3 +236,61 @@ def _study_report(
     for page in args.update:
         update_file(page, f"{args.section}-{name}", text)
     return [asdict(summary) for summary in summaries]
+
+
+def add_run_arguments(parser: argparse.ArgumentParser, folder: str) -> None:
+    """Add ``--out``, ``--limit``, ``--jobs`` and ``--fresh``: of runs over the pairs of a data set."""
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path(folder), help="result folder (default: %(default)s)"
+    )
+    parser.add_argument("--limit", metavar="N", type=int, help="only the first N pairs of each suite")
+    parser.add_argument("--jobs", metavar="N", type=int, default=1, help="processes with one thread each (default: 1)")
+    parser.add_argument("--fresh", action="store_true", help="compute pairs again that pairs.csv has already")
+
+
+def limited(layouts: Sequence[Layout], args: argparse.Namespace, terminal: Terminal) -> list[Layout]:
+    """Return the pairs that ``--limit`` leaves, and warn of what is missing from them."""
+    kept = [layout.limited(args.limit) for layout in layouts]
+    for layout in kept:
+        for problem in layout.problems:
+            terminal.warn(problem)
+    return kept
+
+
+def run_methods(
+    layouts: Sequence[Layout],
+    methods: Sequence[Method],
+    measurement: Measurement,
+    args: argparse.Namespace,
+    terminal: Terminal,
+) -> Run | None:
+    """Run methods over all pairs and show a line a pair; None after Ctrl-C."""
+    from clalign.benchmark.runner import run
+
+    try:
+        return run(
+            layouts,
+            methods,
+            args.out,
+            jobs=args.jobs,
+            measurement=measurement,
+            resume=not args.fresh,
+            progress=lambda count, total, record: terminal.note(f"{count}/{total} {progress_line(record)}"),
+        )
+    except KeyboardInterrupt:
+        terminal.warn(f"interrupted: what is done is in {args.out}; the same command goes on from there")
+        return None
+
+
+def progress_line(record: Record) -> str:
+    """Return what one pair gave, in one line."""
+    who = f"{record.suite} {record.pair} {record.method}:"
+    if record.failed:
+        return f"{who} FAILED, {record.message}"
+    parts = [f"{who} mean {100 * (record.mean or 0.0):.3f}, exact {record.exact or 0.0:.0%}"]
+    if record.mirrored_mean is not None:
+        parts.append(f"mirrored {100 * record.mirrored_mean:.1f}{' FLIPPED' if record.flipped else ''}")
+    if record.confidence is not None:
+        parts.append(f"confidence {record.confidence:.2f}")
+    parts.append(f"{record.seconds or 0.0:.1f} s")
+    return ", ".join(parts)
