@@ -74,7 +74,10 @@ def examine() -> dict[str, Any]:
             for precision in (("single", "double") if device["double"] else ("single",))
         }
     findings: dict[str, Any] = {
-        "system": _system(),
+        "system": {
+            "machine": f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
+            "python": f"{platform.python_version()} in {sys.prefix}",
+        },
         "packages": {name: _version(name) for name in ("clalign", *PACKAGES)},
         "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
         "vendor_files": vendor_files(),
@@ -221,13 +224,6 @@ def _check_line(answer: dict[str, Any]) -> str:
     return f"{len(checks)} agree with numpy to {worst:.0e}, built and run in {seconds:.1f} s"
 
 
-def _system() -> dict[str, str]:
-    return {
-        "machine": f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
-        "python": f"{platform.python_version()} in {sys.prefix}",
-    }
-
-
 def _version(package: str) -> str | None:
     try:
         return importlib.metadata.version(package)
@@ -263,26 +259,19 @@ def probe(*arguments: str) -> dict[str, Any]:
 
 
 def _answer(arguments: list[str]) -> dict[str, Any]:
-
+    """Return the checks of a device by number and precision, or without arguments all devices."""
     try:
-        return _checks(arguments[0], arguments[1]) if arguments else _devices()
+        from clalign.engine import open_backend
+        from clalign.engine.device_choice import list_devices
+        from clalign.engine.self_test import self_test
+
+        if not arguments:
+            return {"devices": [dataclasses.asdict(facts) for facts in list_devices()], "libraries": _libraries()}
+        options = Options().replace({"engine.device": arguments[0], "engine.precision": arguments[1]})
+        checks = self_test(open_backend(options.engine))
+        return {"checks": [{**dataclasses.asdict(check), "agrees": check.agrees} for check in checks]}
     except ClalignError as error:
         return {"error": str(error), "libraries": _libraries()}
-
-
-def _devices() -> dict[str, Any]:
-    from clalign.engine.device_choice import list_devices
-
-    return {"devices": [dataclasses.asdict(facts) for facts in list_devices()], "libraries": _libraries()}
-
-
-def _checks(specification: str, precision: str) -> dict[str, Any]:
-    from clalign.engine import open_backend
-    from clalign.engine.self_test import self_test
-
-    options = Options().replace({"engine.device": specification, "engine.precision": precision})
-    checks = self_test(open_backend(options.engine))
-    return {"checks": [{**dataclasses.asdict(check), "agrees": check.agrees} for check in checks]}
 
 
 def _libraries() -> list[str]:

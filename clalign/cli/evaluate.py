@@ -154,20 +154,18 @@ def summary_rows(evaluation: Evaluation) -> list[tuple[str, str]]:
     """Return name and value of the figures that a person wants to see first."""
     values = evaluation.as_dict()
     area, diameter = values["per_sqrt_area"], values["per_diameter"]
+    curves = area["area_under_curve"], diameter["area_under_curve"]
     rows = [
         (
             "points",
-            f"{evaluation.points.size} measured, {evaluation.unmatched} unmatched, {evaluation.skipped} skipped",
+            f"{len(evaluation.points)} measured, {evaluation.unmatched} unmatched, {evaluation.skipped} skipped",
         ),
         ("distances", f"{evaluation.method}; diameter {evaluation.diameter:.3f} sqrt(area)"),
         ("mean error", f"{100 * area['mean']:.3f} x 100 / sqrt(area), {100 * diameter['mean']:.3f} % of the diameter"),
         ("quantiles", ", ".join(f"{q} % {100 * area[f'q{q}']:.3f}" for q in (50, 75, 90, 95, 99))),
         ("largest", f"{100 * area['max']:.3f}"),
         ("exact", f"{evaluation.exact:.1%}"),
-        (
-            "curve",
-            f"area {area['area_under_curve']:.4f} of 1 per sqrt(area), {diameter['area_under_curve']:.4f} per diameter",
-        ),
+        ("curve", f"area {curves[0]:.4f} of 1 per sqrt(area), {curves[1]:.4f} per diameter"),
     ]
     if evaluation.mirrored_mean is not None:
         flip = "FLIPPED" if evaluation.flipped else "not flipped"

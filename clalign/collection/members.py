@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,7 @@ DIGEST_LETTERS = 16
 BLOCK = 4
 """Pairs are taken in blocks of so many sources and targets, so that a worker meets shapes that it still holds."""
 
-Pairing = Literal["all", "star", "tree"]
-PAIRINGS: tuple[Pairing, ...] = ("all", "star", "tree")
+PAIRINGS = ("all", "star", "tree")
 Pairs = list[tuple[int, int]]
 
 

@@ -8,6 +8,7 @@ eigenvectors of D^-½ W D^-½ hold √d_i Q_i in their blocks, up to one rotatio
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -86,6 +87,12 @@ class Network:
         if self.component[first] != self.component[second]:
             raise ValueError(f"no chain of pairs joins the shapes {first} and {second}")
         return np.asarray(self.frames[second] @ self.frames[first].T)
+
+    @cached_property
+    def digest(self) -> str:
+        """Short text that differs when the network does."""
+        # Rounded, so that the last bits of a sum in another order do not make everything be derived again.
+        return hashlib.sha256(np.round(self.frames, 6).tobytes()).hexdigest()[:16]
 
 
 def deviation(difference: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""``match_collection``: a whole set of shapes as one job."""
+"""``match_collection``: a whole set of shapes as one job, from the pairs to the network and what it mends."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from clalign.collection.cluster import Task, open_client, outcomes, worker_count
-from clalign.collection.consistency import NetworkCheck, checked_by_network, missing_pairs
 from clalign.collection.forecast import check_disk, needs, workers_that_fit
 from clalign.collection.members import (
     PAIRINGS,
@@ -26,12 +25,16 @@ from clalign.collection.members import (
     star_pairs,
     tree_pairs,
 )
+from clalign.collection.network import MapEdges, Network, cycle_errors, cycle_weights, synchronise
 from clalign.collection.result import Collection
 from clalign.collection.store import CACHE_FOLDER, PairRow, ShapeRow, Store, merged, pair_key
 from clalign.collection.work import PageWriter, Settings, derive_members, explained, match_members, prepare_member
+from clalign.correspondence import finite_or_none
 from clalign.errors import OptionError
 from clalign.geometry.workers import processor_count
+from clalign.maps.functional_maps import polar_factor
 from clalign.options import Options
+from clalign.rules import CollectionRules
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -43,6 +46,8 @@ Consistency = Literal["auto", "none", "repair", "all"]
 
 DEFAULT_LATENT = 60
 CACHE_SLACK = 1.2
+NETWORK_BYTES = 4e9
+"""Maps of the network in memory at most; a larger set is joined over fewer functions."""
 
 
 def match_collection(
@@ -130,6 +135,48 @@ def match_collection(
     return job.finished()
 
 
+def checked_by_network(
+    store: Store, names: Sequence[str], rows: Sequence[PairRow], rules: CollectionRules
+) -> tuple[Network, list[PairRow]]:
+    """Synchronise the maps of all direct rows that are "ok"; return the network, and the rows with their errors in it.
+
+    Parameters
+    ----------
+    store : has the maps.
+    names : of the shapes; the network numbers them so.
+    rows : of matched pairs.
+    """
+    number = {name: index for index, name in enumerate(names)}
+    used = [row for row in rows if row.ok]
+    size = max(2, int(np.sqrt(NETWORK_BYTES / (8 * max(len(used), 1)))))
+    maps = [store.read_maps("pairs", row.source, row.target).functional_map[:size, :size].copy() for row in used]
+    size = min((len(functional) for functional in maps), default=1)
+    edges = MapEdges(
+        len(names),
+        np.array([(number[row.source], number[row.target]) for row in used], dtype=np.int64).reshape(-1, 2),
+        polar_factor(np.stack([functional[:size, :size] for functional in maps])) if maps else np.ones((0, 1, 1)),
+        np.ones(len(used)),
+    )
+    cycles = cycle_errors(edges)
+    confidence = np.array([row.confidence or 0.0 for row in used])
+    network = synchronise(replace(edges, weights=cycle_weights(confidence, cycles, rules)), rules)
+    errors = zip(cycles, network.residuals, strict=True)
+    checked = []
+    for row in rows:
+        if row.ok:
+            cycle, residual = map(finite_or_none, next(errors))
+            row = replace(row, cycle_error=cycle, network_error=residual)
+        checked.append(row)
+    return network, checked
+
+
+def missing_pairs(network: Network, names: Sequence[str], matched: set[frozenset[str]]) -> list[tuple[str, str]]:
+    """Return the pairs of shapes, by name, that the network joins and that were not matched."""
+    joined = network.component[:, None] == network.component
+    pairs = ((names[i], names[j]) for i, j in np.argwhere(np.triu(joined, 1)).tolist())
+    return [pair for pair in pairs if frozenset(pair) not in matched]
+
+
 class Job:
     """The run of one collection: what is known so far, and what is still to do."""
 
@@ -212,31 +259,29 @@ class Job:
 
     def make_consistent(self, client: Client, *, everything: bool) -> None:
         """Synchronise the network, repair what contradicts it, and derive the other pairs if that is asked for."""
-        names = list(self.by_name)
+        names, rules = list(self.by_name), self.settings.options.rules.collection
         self.report("network", 0.0, "")
-        check = checked_by_network(
-            self.store, names, list(self.direct.values()), self.settings.options.rules.collection
-        )
-        self.store.write_network(names, check.network)
-        self.report("network", 1.0, f"{len(check.wrong)} maps contradict the others")
-        self.final = {(row.source, row.target): row for row in check.rows}
-        wrong = [check.rows[index] for index in check.wrong]
+        network, rows = checked_by_network(self.store, names, list(self.direct.values()), rules)
+        self.store.write_network(names, network)
+        wrong = [row for row in rows if row.network_error is not None and row.network_error > rules.wrong]
+        self.report("network", 1.0, f"{len(wrong)} maps contradict the others")
+        self.final = {(row.source, row.target): row for row in rows}
         # The distortion of the map that the pair has, None where it has none.
         todo: list[tuple[str, str, float | None]] = [(row.source, row.target, row.distortion) for row in wrong]
         if everything:
             matched = {frozenset(pair) for pair, row in self.direct.items() if row.ok}
-            todo += [(*pair, None) for pair in missing_pairs(check.network, names, matched)]
-        tasks = [self._derivation(*pair, check) for pair in todo]
+            todo += [(*pair, None) for pair in missing_pairs(network, names, matched)]
+        tasks = [self._derivation(*pair, network) for pair in todo]
         estimate = Estimate(len(tasks))
         for task, value in outcomes(client, tasks):
             row = self._derived_row(task, value)
             self.final[row.source, row.target] = row
             self.report("consistent", *estimate.step(row))
 
-    def _derivation(self, source: str, target: str, distortion: float | None, check: NetworkCheck) -> Task:
+    def _derivation(self, source: str, target: str, distortion: float | None, network: Network) -> Task:
         first, second = self.by_name[source], self.by_name[target]
-        functional = check.network.functional(self.members.index(first), self.members.index(second))
-        arguments = (first, second, functional, distortion, check.digest, self.settings)
+        functional = network.functional(self.members.index(first), self.members.index(second))
+        arguments = (first, second, functional, distortion, network.digest, self.settings)
         return Task(f"consistent-{source}-{target}", derive_members, arguments)
 
     def _derived_row(self, task: Task, value: Any) -> PairRow:

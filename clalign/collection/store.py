@@ -289,7 +289,8 @@ class Store:
     def write_network(self, names: Sequence[str], network: Network) -> None:
         """Write ``network.npz``."""
         with replaced_file(self.folder / NETWORK_FILE) as stream:
-            np.savez(stream, names=np.array(names), **vars(network))
+            arrays = {item.name: getattr(network, item.name) for item in fields(network)}
+            np.savez(stream, names=np.array(names), **arrays)
 
     def read_network(self) -> tuple[list[str], Network]:
         """Return the names of the shapes and their network.
