@@ -22,14 +22,11 @@ from numpy.typing import NDArray
 from clalign.benchmark.pairs import TruthFiles
 from clalign.benchmark.table import markdown_table
 from clalign.collection.cluster import wait_for_workers, worker_environment
-from clalign.collection.consistency import NETWORK_BYTES
 from clalign.collection.members import DIGEST_LETTERS, Member
 from clalign.collection.result import Collection
-from clalign.collection.rows import PairRow, ShapeRow
-from clalign.collection.run import DEFAULT_LATENT, Progress, match_collection
-from clalign.collection.session import Settings
-from clalign.collection.store import CACHE_FOLDER, PairMaps
-from clalign.collection.work import EIGENVALUES, match_members
+from clalign.collection.run import DEFAULT_LATENT, NETWORK_BYTES, Progress, match_collection
+from clalign.collection.store import CACHE_FOLDER, PairMaps, PairRow, ShapeRow
+from clalign.collection.work import EIGENVALUES, Settings, match_members
 from clalign.errors import ClalignError, OptionError
 from clalign.evaluation.errors import evaluate
 from clalign.mesh.mesh import Mesh, load_mesh

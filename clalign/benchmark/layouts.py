@@ -10,7 +10,7 @@ from itertools import combinations, groupby
 from pathlib import Path
 
 from clalign.benchmark.pairs import BenchmarkPair, Pair, TruthFiles
-from clalign.collection.choice import mesh_stem, read_pairs_file
+from clalign.collection.members import mesh_stem, read_pairs_file
 from clalign.errors import ResultError
 from clalign.mesh.reading import SUFFIXES
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 
+from clalign.storage.files import size_text
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``cache`` to the program."""
@@ -25,7 +27,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def show_info(args: argparse.Namespace) -> int:
     """Print folder, entries, size and limit."""
     from clalign.geometry.cache import ShapeCache
-    from clalign.storage.files import size_text
 
     info = ShapeCache().info()
     if args.json:
@@ -39,7 +40,6 @@ def show_info(args: argparse.Namespace) -> int:
 def clear_all(_: argparse.Namespace) -> int:
     """Remove every entry."""
     from clalign.geometry.cache import ShapeCache
-    from clalign.storage.files import size_text
 
     cache = ShapeCache()
     size = cache.info().size

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.cli.terminal import Terminal, table
+from clalign.errors import MeshError, OptionError
+from clalign.options import Options
 from clalign.storage.files import size_text
+from clalign.storage.folders import atomic_files, check_files
 
 if TYPE_CHECKING:
     from clalign.mesh.defects import Diagnosis
-    from clalign.options import Options
     from clalign.resources import Forecast
 
 EXIT_UNUSABLE = 2
@@ -40,10 +42,7 @@ exit status: 0 every mesh can be used as it is (with --repair: the copy was writ
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``check`` to the program."""
     parser = subparsers.add_parser(
-        "check",
-        help="examine meshes, and repair them",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
+        "check", help="examine meshes, and repair them", description=_DESCRIPTION, epilog=_EPILOG
     )
     parser.add_argument("meshes", metavar="MESH", nargs="+", type=Path, help="OFF, PLY, OBJ or STL file")
     parser.add_argument("--repair", metavar="OUT", type=Path, help="write a cleaned copy of the one MESH")
@@ -56,8 +55,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Examine every mesh, repair one if asked to, and return 0 if all of it can be used."""
-    from clalign.options import Options
-
     _check_usage(args)
     options = Options.preset(args.preset)
     found = [examine(path, options) for path in args.meshes]
@@ -79,9 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _check_usage(args: argparse.Namespace) -> None:
     """Find every mistake in the arguments before any mesh is read."""
-    from clalign.errors import OptionError
     from clalign.mesh.writing import require_format
-    from clalign.storage.folders import check_files
 
     if args.repair is None:
         if args.merge or args.force:
@@ -110,7 +105,6 @@ def examine(path: Path, options: Options) -> dict[str, Any]:
     path : a mesh file; that it cannot be read is a finding, too.
     options : what the forecast is for.
     """
-    from clalign.errors import MeshError
     from clalign.mesh.checks import diagnose
     from clalign.mesh.reading import read_mesh_file
 
@@ -135,13 +129,8 @@ def examine(path: Path, options: Options) -> dict[str, Any]:
 def _findings(diagnosis: Diagnosis, path: str) -> list[dict[str, Any]]:
     return [
         {
-            "kind": defect.kind,
-            "severity": str(defect.severity),
-            "count": defect.count,
+            **{name: getattr(defect, name) for name in ("kind", "severity", "count", "vertices", "faces", "action")},
             "sentence": defect.sentence(),
-            "vertices": list(defect.vertices),
-            "faces": list(defect.faces),
-            "action": defect.action,
             "way_out": defect.way_out(path),
         }
         for defect in diagnosis.defects
@@ -185,12 +174,10 @@ def repair_file(path: Path, out: Path, *, merge: bool, force: bool) -> dict[str,
     ResultError
         The copy cannot be written.
     """
-    from clalign.errors import MeshError
     from clalign.maps.point_maps import write_map
     from clalign.mesh.reading import read_mesh_file
     from clalign.mesh.repair import repair
     from clalign.mesh.writing import save_mesh
-    from clalign.storage.folders import atomic_files
 
     raw = read_mesh_file(path)
     try:

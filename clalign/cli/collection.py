@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clalign.cli.job import add_job_arguments, options_from
+from clalign.cli.match import add_job_arguments, options_from
 from clalign.cli.terminal import Terminal, table
 from clalign.errors import OptionError
 
@@ -41,10 +42,7 @@ examples:
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``collection`` to the program."""
     parser = subparsers.add_parser(
-        "collection",
-        help="match a whole set of shapes",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
+        "collection", help="match a whole set of shapes", description=_DESCRIPTION, epilog=_EPILOG
     )
     parser.add_argument("shapes", metavar="SHAPES", type=Path, help="folder of meshes, or a file that lists them")
     add_job_arguments(parser, DEFAULT_FOLDER)
@@ -78,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
 
     from clalign.collection.run import match_collection
-    from clalign.presentation.collection_page import write_pair_page
+    from clalign.presentation.collection_page import write_collection_page, write_pair_page
 
     try:
         with terminal.progress() as progress:
@@ -101,26 +99,20 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         terminal.warn(f"interrupted: what is done is in {args.out}; the same command with --resume goes on from there")
         return EXIT_INTERRUPTED
-    _write_page(collection, args, terminal)
+    if not args.no_report:
+        try:
+            write_collection_page(collection, collection.folder / PAGE_FILE, pictures=not args.no_picture)
+        except OSError as error:
+            terminal.warn(f"{PAGE_FILE} was not written: {error}")
     _show_summary(collection, terminal)
     return 1 if collection.failures else 0
-
-
-def _write_page(collection: Collection, args: argparse.Namespace, terminal: Terminal) -> None:
-    from clalign.presentation.collection_page import write_collection_page
-
-    if args.no_report:
-        return
-    try:
-        write_collection_page(collection, collection.folder / PAGE_FILE, pictures=not args.no_picture)
-    except OSError as error:
-        terminal.warn(f"{PAGE_FILE} was not written: {error}")
 
 
 def _show_summary(collection: Collection, terminal: Terminal) -> None:
     for failure in collection.failures:
         terminal.warn(failure)
-    kinds = {kind: sum(1 for row in collection.pairs if row.ok and row.kind == kind) for kind in _KINDS}
+    found = Counter(row.kind for row in collection.pairs if row.ok)
+    kinds = {kind: found[kind] for kind in ("direct", "repaired", "derived")}
     done = sum(kinds.values())
     said = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
     shapes = sum(1 for row in collection.shapes if row.ok)
@@ -144,6 +136,3 @@ def _show_summary(collection: Collection, terminal: Terminal) -> None:
             "failures": list(collection.failures),
         }
     )
-
-
-_KINDS = ("direct", "repaired", "derived")

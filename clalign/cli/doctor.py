@@ -1,19 +1,28 @@
-"""``clalign doctor``: what OpenCL finds here, whether the kernels compute correctly, and what to do if not."""
+"""``clalign doctor``: what OpenCL finds here, whether the kernels compute correctly, and what to do if not.
+
+OpenCL is asked in a process of its own, so that a driver that crashes cannot take this one with it: ``python -m
+clalign.cli.doctor`` prints the devices as JSON; with a device number such as ``0:1`` and a precision it runs the
+kernels there and prints how well they agree with numpy.
+"""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import importlib.metadata
 import importlib.util
 import json
 import os
 import platform
+import re
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-from clalign.cli.probe import probe
 from clalign.cli.terminal import table
+from clalign.errors import ClalignError, DeviceError
+from clalign.options import Options
 from clalign.storage.files import KERNEL_VARIABLE, size_text
 
 PACKAGES = ("numpy", "scipy", "trimesh", "pyopencl", "nlopt", "potpourri3d")
@@ -28,6 +37,7 @@ VARIABLES = (
     "OMP_NUM_THREADS",
 )
 SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
+PROBE_SECONDS = 180.0
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -64,7 +74,10 @@ def examine() -> dict[str, Any]:
             for precision in (("single", "double") if device["double"] else ("single",))
         }
     findings: dict[str, Any] = {
-        "system": _system(),
+        "system": {
+            "machine": f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
+            "python": f"{platform.python_version()} in {sys.prefix}",
+        },
         "packages": {name: _version(name) for name in ("clalign", *PACKAGES)},
         "variables": {name: os.environ[name] for name in VARIABLES if name in os.environ},
         "vendor_files": vendor_files(),
@@ -211,13 +224,6 @@ def _check_line(answer: dict[str, Any]) -> str:
     return f"{len(checks)} agree with numpy to {worst:.0e}, built and run in {seconds:.1f} s"
 
 
-def _system() -> dict[str, str]:
-    return {
-        "machine": f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
-        "python": f"{platform.python_version()} in {sys.prefix}",
-    }
-
-
 def _version(package: str) -> str | None:
     try:
         return importlib.metadata.version(package)
@@ -227,10 +233,55 @@ def _version(package: str) -> str | None:
 
 def _kernels() -> dict[str, Any]:
     from clalign.engine.programs import kernel_folder
-    from clalign.errors import DeviceError
 
     try:
         folder = kernel_folder()
     except DeviceError as error:
         return {"folder": None, "count": 0, "error": str(error)}
     return {"folder": str(folder), "count": len(list(folder.glob("*.cl"))), "error": None}
+
+
+def probe(*arguments: str) -> dict[str, Any]:
+    """Run this module in a child process; a failure of any kind becomes the key ``error``."""
+    command = [sys.executable, "-m", "clalign.cli.doctor", *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PROBE_SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        return {"error": f"the driver did not answer within {PROBE_SECONDS:.0f} s"}
+    if done.returncode < 0:
+        return {"error": f"the driver crashed the process (signal {-done.returncode})"}
+    try:
+        answer: dict[str, Any] = json.loads(done.stdout)
+    except ValueError:
+        last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
+        return {"error": f"the driver ended the process: {last}"}
+    return answer
+
+
+def _answer(arguments: list[str]) -> dict[str, Any]:
+    """Return the checks of a device by number and precision, or without arguments all devices."""
+    try:
+        from clalign.engine import open_backend
+        from clalign.engine.device_choice import list_devices
+        from clalign.engine.self_test import self_test
+
+        if not arguments:
+            return {"devices": [dataclasses.asdict(facts) for facts in list_devices()], "libraries": _libraries()}
+        options = Options().replace({"engine.device": arguments[0], "engine.precision": arguments[1]})
+        checks = self_test(open_backend(options.engine))
+        return {"checks": [{**dataclasses.asdict(check), "agrees": check.agrees} for check in checks]}
+    except ClalignError as error:
+        return {"error": str(error), "libraries": _libraries()}
+
+
+def _libraries() -> list[str]:
+    """Return the OpenCL loader and the drivers that this process has mapped, where the system tells (Linux)."""
+    maps = Path("/proc/self/maps")
+    if not maps.is_file():
+        return []
+    found = re.findall(r"/\S*/lib(?:OpenCL|pocl|nvidia-opencl|amdocl|igdrcl|intelocl)\S*", maps.read_text())
+    return sorted(set(found))
+
+
+if __name__ == "__main__":
+    print(json.dumps(_answer(sys.argv[1:])))

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clalign.cli.terminal import Terminal, table
+from clalign.data import bundled_pair
+from clalign.errors import ResultError
 
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
@@ -34,10 +36,7 @@ examples:
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``evaluate`` to the program."""
     parser = subparsers.add_parser(
-        "evaluate",
-        help="measure a map against the truth",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
+        "evaluate", help="measure a map against the truth", description=_DESCRIPTION, epilog=_EPILOG
     )
     parser.add_argument("map", metavar="MAP", type=Path, help="result folder, or text file of a map")
     parser.add_argument("--source", metavar="FILE", type=Path, help="source mesh, for a bare map")
@@ -102,7 +101,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _result_and_meshes(args: argparse.Namespace) -> tuple[Correspondence | None, Mesh, Mesh]:
-    from clalign.errors import ResultError
     from clalign.mesh.mesh import load_mesh
 
     if args.map.is_dir():
@@ -125,7 +123,6 @@ def read_truth(words: list[str], base: Base | None, source: Mesh, target: Mesh) 
     ResultError
         A file cannot be read or does not fit the meshes, or there are more than two.
     """
-    from clalign.errors import ResultError
     from clalign.evaluation.truth import Truth, read_index_truth, read_pair_truth
 
     counts = {"source_count": source.file_count, "target_count": target.file_count}
@@ -142,24 +139,33 @@ def read_truth(words: list[str], base: Base | None, source: Mesh, target: Mesh) 
     raise ResultError(f"--truth takes one file or two, not {len(words)}")
 
 
+def bundled_truths(source: Mesh, target: Mesh) -> tuple[Truth, Truth]:
+    """Return the true map of the bundled pair, and that of its mirror image."""
+    from clalign.evaluation.truth import read_index_truth
+
+    truth, mirrored = (
+        read_index_truth(path, source_count=source.file_count, target_count=target.file_count)
+        for path in (bundled_pair().truth, bundled_pair().mirrored)
+    )
+    return truth, mirrored
+
+
 def summary_rows(evaluation: Evaluation) -> list[tuple[str, str]]:
     """Return name and value of the figures that a person wants to see first."""
     values = evaluation.as_dict()
     area, diameter = values["per_sqrt_area"], values["per_diameter"]
+    curves = area["area_under_curve"], diameter["area_under_curve"]
     rows = [
         (
             "points",
-            f"{evaluation.points.size} measured, {evaluation.unmatched} unmatched, {evaluation.skipped} skipped",
+            f"{len(evaluation.points)} measured, {evaluation.unmatched} unmatched, {evaluation.skipped} skipped",
         ),
         ("distances", f"{evaluation.method}; diameter {evaluation.diameter:.3f} sqrt(area)"),
         ("mean error", f"{100 * area['mean']:.3f} x 100 / sqrt(area), {100 * diameter['mean']:.3f} % of the diameter"),
         ("quantiles", ", ".join(f"{q} % {100 * area[f'q{q}']:.3f}" for q in (50, 75, 90, 95, 99))),
         ("largest", f"{100 * area['max']:.3f}"),
         ("exact", f"{evaluation.exact:.1%}"),
-        (
-            "curve",
-            f"area {area['area_under_curve']:.4f} of 1 per sqrt(area), {diameter['area_under_curve']:.4f} per diameter",
-        ),
+        ("curve", f"area {curves[0]:.4f} of 1 per sqrt(area), {curves[1]:.4f} per diameter"),
     ]
     if evaluation.mirrored_mean is not None:
         flip = "FLIPPED" if evaluation.flipped else "not flipped"

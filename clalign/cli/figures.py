@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clalign.benchmark.methods import method_runs, split_list
 from clalign.cli.bench.common import add_option_arguments
-from clalign.cli.job import option_changes
-from clalign.cli.terminal import Terminal
+from clalign.cli.evaluate import bundled_truths, read_truth
+from clalign.cli.match import option_changes
+from clalign.cli.terminal import Progress, Terminal
+from clalign.data import bundled_pair
+from clalign.errors import OptionError, ResultError
+from clalign.options import Options
 
 if TYPE_CHECKING:
     from clalign.benchmark.pairs import LoadedPair
@@ -46,12 +50,7 @@ examples:
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``figures`` to the program."""
-    parser = subparsers.add_parser(
-        "figures",
-        help="draw the paper's figures",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-    )
+    parser = subparsers.add_parser("figures", help="draw the paper's figures", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("paths", metavar="RESULT|SOURCE TARGET", nargs="*", type=Path, help="what figures are drawn of")
     parser.add_argument("--which", metavar="NUMBERS", default="all", help="comma-separated, or 'all' (default)")
     parser.add_argument("--out", metavar="DIR", type=Path, default=DEFAULT_FOLDER, help="folder (default: %(default)s)")
@@ -83,15 +82,17 @@ def run(args: argparse.Namespace) -> int:
     wanted = _wanted(args.which, tuple(PLANS))
     written: dict[str, list[str]] = {}
     if len(args.paths) == 1 and (args.paths[0] / RECORDS_FILE).is_file():
-        _check_recorded(args.which, wanted)
+        if args.which != "all" and wanted != ["5"]:
+            raise OptionError("the folder of a benchmark has error curves only: ask for --which 5")
         paths = save_drawing(draw_recorded_curves(args.paths[0]), args.out, "figure-5")
         written["5"] = [str(path) for path in paths]
     else:
-        subject = _subject(args, terminal)
-        for number in _possible(wanted, subject, explicit=args.which != "all", terminal=terminal):
-            terminal.note(f"figure {number}: {PLANS[number].title}")
-            paths = save_drawing(PLANS[number].draw(subject), args.out, f"figure-{number}")
-            written[number] = [str(path) for path in paths]
+        with terminal.progress() as progress:
+            subject = _subject(args, terminal, progress)
+            for number in _possible(wanted, subject, explicit=args.which != "all", terminal=terminal):
+                terminal.note(f"figure {number}: {PLANS[number].title}")
+                paths = save_drawing(PLANS[number].draw(subject), args.out, f"figure-{number}")
+                written[number] = [str(path) for path in paths]
     for number, names in written.items():
         terminal.say(f"figure {number}: {', '.join(names)}")
     terminal.document({"figures": written})
@@ -99,7 +100,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _wanted(text: str, known: tuple[str, ...]) -> list[str]:
-    from clalign.errors import OptionError
 
     if text == "all":
         return list(known)
@@ -110,23 +110,15 @@ def _wanted(text: str, known: tuple[str, ...]) -> list[str]:
     return list(dict.fromkeys(numbers))
 
 
-def _check_recorded(text: str, wanted: list[str]) -> None:
-    from clalign.errors import OptionError
-
-    if text != "all" and wanted != ["5"]:
-        raise OptionError("the folder of a benchmark has error curves only: ask for --which 5")
-
-
 def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: Terminal) -> list[str]:
-    from clalign.errors import OptionError
     from clalign.presentation.figures.gallery import PLANS
 
-    plans = {number: PLANS[number] for number in wanted}
-    untrue = [number for number, plan in plans.items() if plan.needs_truth and not subject.has_truth]
-    unlike = [number for number, plan in plans.items() if plan.compares and not subject.comparable]
+    untrue = [number for number in wanted if PLANS[number].needs_truth and not subject.has_truth]
+    unlike = [number for number in wanted if PLANS[number].compares and not subject.comparable]
+    unlike = [number for number in unlike if number not in untrue]
     for numbers, why in (
         (untrue, "without --truth"),
-        ([number for number in unlike if number not in untrue], "of a result with options of its own: name its meshes"),
+        (unlike, "of a result with options of its own: name its meshes"),
     ):
         if numbers and explicit:
             raise OptionError(f"figure {', '.join(numbers)} cannot be drawn {why}")
@@ -135,12 +127,11 @@ def _possible(wanted: list[str], subject: Subject, *, explicit: bool, terminal: 
     return [number for number in wanted if number not in untrue + unlike]
 
 
-def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
+def _subject(args: argparse.Namespace, terminal: Terminal, progress: Progress) -> Subject:
     """Read the pair, its truth and what is matched already."""
-    from clalign.benchmark.methods import method_runs, split_list
-    from clalign.errors import OptionError
+    from clalign.benchmark.pairs import LoadedPair
     from clalign.geometry.cache import ShapeCache
-    from clalign.options import Options
+    from clalign.mesh.mesh import load_mesh
     from clalign.presentation.figures.gallery import MAIN, Subject
 
     if args.height < 20:
@@ -149,7 +140,8 @@ def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
         raise OptionError(f"name one result folder or two meshes, not {len(args.paths)} paths")
     known: Correspondence | None = None
     if not args.paths:
-        pair = _bundled()
+        source, target = (load_mesh(path) for path in bundled_pair()[:2])
+        pair = LoadedPair("bundled humans", source, target, *bundled_truths(source, target))
     else:
         pair, known = _named(args)
     changes = option_changes(args)
@@ -157,47 +149,27 @@ def _subject(args: argparse.Namespace, terminal: Terminal) -> Subject:
         raise OptionError("--set changes nothing of a result that is there: name the two meshes instead")
     default = Options()
     comparable = known is None or dataclasses.replace(known.options, engine=default.engine, seed=0) == default
+
+    def watch(name: str) -> Progress:
+        terminal.note(f"matching by {name}")
+        return progress
+
     runs = method_runs(
         pair,
         changes,
         cache=None if args.no_cache else ShapeCache(),
-        watch=_watch(terminal),
+        watch=watch,
         known={} if known is None else {MAIN: known},
     )
     names = tuple(split_list(args.variants)) if args.variants else ()
     return Subject(pair, runs, names, args.index, args.pair_index, args.height, comparable)
 
 
-def _watch(terminal: Terminal) -> Callable[[str], Callable[[str, float, str], None]]:
-    def watch(name: str) -> Callable[[str, float, str], None]:
-        terminal.note(f"matching by {name}")
-        return terminal.progress()
-
-    return watch
-
-
-def _bundled() -> LoadedPair:
-    from clalign.benchmark.pairs import LoadedPair
-    from clalign.data import bundled_pair
-    from clalign.evaluation.truth import read_index_truth
-    from clalign.mesh.mesh import load_mesh
-
-    pair = bundled_pair()
-    source, target = load_mesh(pair.source), load_mesh(pair.target)
-    truth, mirrored = (
-        read_index_truth(path, source_count=source.file_count, target_count=target.file_count)
-        for path in (pair.truth, pair.mirrored)
-    )
-    return LoadedPair("bundled humans", source, target, truth, mirrored)
-
-
 def _named(args: argparse.Namespace) -> tuple[LoadedPair, Correspondence | None]:
     import numpy as np
 
     from clalign.benchmark.pairs import LoadedPair
-    from clalign.cli.evaluate import read_truth
     from clalign.correspondence import Correspondence
-    from clalign.errors import ResultError
     from clalign.evaluation.truth import Truth, read_mirror
     from clalign.mesh.mesh import load_mesh
 

@@ -15,54 +15,24 @@ import os
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
-from typing import Any, NoReturn, Protocol, TextIO
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
 
 from clalign import __version__
-from clalign.cli import (
-    bench,
-    cache,
-    check,
-    collection,
-    demo,
-    doctor,
-    evaluate,
-    export,
-    figures,
-    match,
-    options,
-    show,
-    transfer,
-)
+from clalign.cli import bench, cache, check, collection, doctor, evaluate, figures, match, options, saved
 from clalign.ctrl_c import plain_interrupts
-from clalign.errors import ClalignError, DeviceError, InputError
+from clalign.errors import ClalignError, ClalignWarning, DeviceError, InputError
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 
 
-class Command(Protocol):
-    """What a module of this folder offers."""
-
-    def add_parser(self, subparsers: argparse._SubParsersAction[Any]) -> None:
-        """Add the command's parser and set its ``run`` default."""
-
-
-COMMANDS: tuple[Command, ...] = (
-    match,
-    demo,
-    check,
-    collection,
-    show,
-    transfer,
-    export,
-    evaluate,
-    figures,
-    bench,
-    cache,
-    options,
-    doctor,
+#: Each adds its parser, with the function that runs it as the default of ``run``.
+COMMANDS: tuple[Callable[[Any], None], ...] = (
+    *(match.add_match, match.add_demo, check.add_parser, collection.add_parser),
+    *(saved.add_show, saved.add_transfer, saved.add_export, evaluate.add_parser, figures.add_parser),
+    *(bench.add_parser, cache.add_parser, options.add_parser, doctor.add_parser),
 )
 
 _DESCRIPTION = "Dense correspondence between two non-rigid triangle meshes, computed with OpenCL."
@@ -117,8 +87,8 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"clalign {__version__}")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_CommandParser)
-    for command in COMMANDS:
-        command.add_parser(subparsers)
+    for add in COMMANDS:
+        add(subparsers)
     return parser
 
 
@@ -200,17 +170,8 @@ def _set_up_messages(debug: bool) -> None:
         warnings.showwarning = _show_warning
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
+def _show_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     # What other libraries warn of (deprecations, mostly) is nothing that a user of the command can act on.
-    from clalign.errors import ClalignWarning
-
     if issubclass(category, ClalignWarning):
         print(f"warning: {message}", file=sys.stderr)
 

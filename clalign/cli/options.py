@@ -10,6 +10,9 @@ import operator
 import re
 import textwrap
 
+from clalign.option_values import leaves
+from clalign.options import Options
+
 _DESCRIPTION = """\
 List every option that --set changes, with its value in a preset and what it means.
 """
@@ -18,11 +21,7 @@ _WIDTH = 100
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``options`` to the program."""
-    parser = subparsers.add_parser(
-        "options",
-        help="list every option that --set changes",
-        description=_DESCRIPTION,
-    )
+    parser = subparsers.add_parser("options", help="list every option that --set changes", description=_DESCRIPTION)
     parser.add_argument(
         "--preset", metavar="NAME", default="default", help="preset whose values are shown (default: %(default)s)"
     )
@@ -34,9 +33,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Print the list."""
-    from clalign.option_values import leaves
-    from clalign.options import Options
-
     chosen = Options.preset(args.preset)
     for name, _ in leaves(chosen):
         if name.startswith("rules.") != args.rules:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import sys
 import time
-from types import TracebackType
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from rich.progress import TaskID
+
+Progress = Callable[..., None]
+"""Called as ``progress(stage, fraction, message)``: the stage is done to `fraction`, 0 to 1."""
 
 _PLAIN_SECONDS = 10.0
 
@@ -44,85 +48,68 @@ class Terminal:
         if self.as_json:
             print(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False), flush=True)
 
-    def progress(self) -> ProgressView:
-        """Return a progress view that suits the terminal: a bar, plain lines in a log, or nothing."""
+    @contextmanager
+    def progress(self) -> Iterator[Progress]:
+        """Yield what shows the progress: as bars on a terminal, as plain lines in a log, or not at all."""
         if self.quiet:
-            return ProgressView()
-        if sys.stderr.isatty():
-            return BarView()
-        return LineView()
+            yield lambda stage, fraction, message="": None
+        elif sys.stderr.isatty():
+            with bars() as progress:
+                yield progress
+        else:
+            yield lines()
 
 
-class ProgressView:
-    """Takes ``(stage, fraction, message)`` and shows nothing: the base of the two that do."""
+def lines() -> Progress:
+    """Return a progress for logs: a line when a stage starts, then one every few seconds."""
+    shown = ("", 0.0)
 
-    def __enter__(self) -> ProgressView:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        pass
-
-    def __call__(self, stage: str, fraction: float, message: str = "") -> None:
-        """Report that `stage` is done to `fraction` (0 to 1), with a message such as the loss."""
-
-
-class LineView(ProgressView):
-    """Plain lines for logs: one when a stage starts, then one every few seconds."""
-
-    def __init__(self) -> None:
-        self._stage = ""
-        self._shown = 0.0
-
-    def __call__(self, stage: str, fraction: float, message: str = "") -> None:
-        """Print a line if the stage is new or the last line is old."""
+    def show(stage: str, fraction: float, message: str = "") -> None:
+        nonlocal shown
         now = time.monotonic()
-        if stage == self._stage and now - self._shown < _PLAIN_SECONDS:
+        if stage == shown[0] and now - shown[1] < _PLAIN_SECONDS:
             return
-        progress = f" {fraction:.0%}" if stage == self._stage else ""
-        print(f"{stage}{progress}" + (f": {message}" if message else ""), file=sys.stderr, flush=True)
-        self._stage, self._shown = stage, now
+        part = f" {fraction:.0%}" if stage == shown[0] else ""
+        print(f"{stage}{part}" + (f": {message}" if message else ""), file=sys.stderr, flush=True)
+        shown = stage, now
+
+    return show
 
 
-class BarView(ProgressView):
-    """One bar a stage, with the loss and an estimate of the time that remains."""
+@contextmanager
+def bars() -> Iterator[Progress]:
+    """Yield a progress with one bar a stage, the loss and an estimate of the time that remains.
 
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    A new stage completes the bar before it; the last is completed by the end of the block, unless that is an error.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
 
-        self._progress: Progress = Progress(
-            TextColumn("{task.description:<12}"),
-            BarColumn(bar_width=30),
-            TextColumn("{task.percentage:>3.0f}%"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[message]}", markup=False),
-            console=Console(stderr=True),
-        )
-        self._stage = ""
-        self._task: TaskID | None = None
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(bar_width=30),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[message]}", markup=False),
+    )
+    bar_of: dict[str, TaskID] = {}
 
-    def __enter__(self) -> ProgressView:
-        self._progress.start()
-        return self
+    def complete() -> None:
+        for bar in bar_of.values():
+            shown.update(bar, completed=1.0)
+        bar_of.clear()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is None and self._task is not None:
-            self._progress.update(self._task, completed=1.0)
-        self._progress.stop()
+    def show(stage: str, fraction: float, message: str = "") -> None:
+        if stage not in bar_of:
+            complete()
+            bar_of[stage] = shown.add_task(stage, total=1.0, message=message)
+        shown.update(bar_of[stage], completed=min(max(fraction, 0.0), 1.0), message=message)
 
-    def __call__(self, stage: str, fraction: float, message: str = "") -> None:
-        """Move the bar of `stage`; a new stage completes the bar before it."""
-        if stage != self._stage or self._task is None:
-            if self._task is not None:
-                self._progress.update(self._task, completed=1.0)
-            self._stage = stage
-            self._task = self._progress.add_task(stage, total=1.0, message=message)
-        self._progress.update(self._task, completed=min(max(fraction, 0.0), 1.0), message=message)
+    with Bars(*columns, console=Console(stderr=True)) as shown:
+        yield show
+        complete()
 
 
 def table(rows: list[tuple[str, str]], *, indent: str = "  ") -> list[str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clalign.collection.members import Member
-from clalign.collection.session import HELD_SHAPES
+from clalign.collection.work import HELD_SHAPES
 from clalign.errors import MemoryBudgetError, MeshError, ResultError
 from clalign.mesh.mesh import load_mesh
 from clalign.options import Options
@@ -28,16 +28,12 @@ class Needs:
 
     Attributes
     ----------
-    shape : one prepared shape, in memory and in the cache alike.
-    cache : all prepared shapes.
-    pair : what is kept of one pair.
+    cache : all prepared shapes, each as large in memory.
     pairs : what is kept of all pairs.
     worker : memory of one worker process.
     """
 
-    shape: float
     cache: float
-    pair: float
     pairs: float
     worker: float
 
@@ -59,8 +55,6 @@ def needs(members: Sequence[Member], pairs: int, options: Options, *, keep: str,
     """
     largest, vertices = _largest(members)
     share = [min(1.0, member.size / largest.size) for member in members]
-    shape = shape_bytes(vertices, options)
-    match = forecast(vertices, vertices, options)
     mean = sum(share) / len(share) * vertices
     pair = 2 * 4 * mean + 8 * latent**2 + 4096
     if pages:
@@ -69,11 +63,11 @@ def needs(members: Sequence[Member], pairs: int, options: Options, *, keep: str,
         pair += 2 * mean * (4 * (options.spectrum.basis + options.spectrum.scale_invariant) + 64)
         pair += 8 * (options.spectrum.scale_invariant**2 + options.spectrum.basis**2)
     return Needs(
-        shape=shape,
         cache=sum(shape_bytes(vertices * part, options) for part in share),
-        pair=pair,
         pairs=pair * pairs,
-        worker=DASK_BYTES + match.memory + (HELD_SHAPES - 2) * shape,
+        worker=DASK_BYTES
+        + forecast(vertices, vertices, options).memory
+        + (HELD_SHAPES - 2) * shape_bytes(vertices, options),
     )
 
 

@@ -8,10 +8,15 @@ eigenvectors of D^-½ W D^-½ hold √d_i Q_i in their blocks, up to one rotatio
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from clalign.maps.functional_maps import polar_factor
 from clalign.rules import CollectionRules
@@ -43,6 +48,16 @@ class MapEdges:
         """K, the number of functions on every shape."""
         return self.maps.shape[1]
 
+    @cached_property
+    def numbers(self) -> dict[tuple[int, int], int]:
+        """The row of each pair."""
+        return {(i, j): edge for edge, (i, j) in enumerate(self.pairs.tolist())}
+
+    def between(self, first: int, second: int) -> NDArray[np.float64]:
+        """Return the map from one shape to another, in whichever order the pair is given."""
+        edge = self.numbers.get((first, second))
+        return self.maps[self.numbers[second, first]].T if edge is None else self.maps[edge]
+
 
 @dataclass(frozen=True)
 class Network:
@@ -72,6 +87,12 @@ class Network:
         if self.component[first] != self.component[second]:
             raise ValueError(f"no chain of pairs joins the shapes {first} and {second}")
         return np.asarray(self.frames[second] @ self.frames[first].T)
+
+    @cached_property
+    def digest(self) -> str:
+        """Short text that differs when the network does."""
+        # Rounded, so that the last bits of a sum in another order do not make everything be derived again.
+        return hashlib.sha256(np.round(self.frames, 6).tobytes()).hexdigest()[:16]
 
 
 def deviation(difference: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -122,24 +143,19 @@ def cycle_errors(edges: MapEdges, *, most: int = 24, seed: int = 0) -> NDArray[n
     -------
     (E,) float64; NaN for pairs in no triangle.
     """
-    number = {(int(i), int(j)): e for e, (i, j) in enumerate(edges.pairs)}
     neighbours: list[set[int]] = [set() for _ in range(edges.count)]
-    for i, j in number:
+    for i, j in edges.numbers:
         neighbours[i].add(j)
         neighbours[j].add(i)
     draw = np.random.default_rng(seed)
     errors = np.full(len(edges.pairs), np.nan)
 
-    def between(first: int, second: int) -> NDArray[np.float64]:
-        found = number.get((first, second))
-        return edges.maps[number[second, first]].T if found is None else edges.maps[found]
-
-    for (i, j), edge in number.items():
+    for (i, j), edge in edges.numbers.items():
         thirds = np.array(sorted(neighbours[i] & neighbours[j]), dtype=np.int64)
         if thirds.size > most:
             thirds = draw.choice(thirds, most, replace=False)
         if thirds.size:
-            around = np.stack([between(k, j) @ between(i, k) for k in thirds.tolist()])
+            around = np.stack([edges.between(k, j) @ edges.between(i, k) for k in thirds.tolist()])
             errors[edge] = np.median(deviation(around - edges.maps[edge]))
     return errors
 
@@ -162,45 +178,33 @@ def cycle_weights(
 
 
 def components(count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return (count,) the smallest shape number that each shape is joined to by a chain of pairs."""
-    parent = list(range(count))
-
-    def root(shape: int) -> int:
-        while parent[shape] != shape:
-            parent[shape] = parent[parent[shape]]
-            shape = parent[shape]
-        return shape
-
-    for i, j in pairs.tolist():
-        first, second = sorted((root(i), root(j)))
-        parent[second] = first
-    return np.array([root(shape) for shape in range(count)], dtype=np.int64)
+    """Return (count,) numbers of the groups that chains of pairs join."""
+    return np.asarray(connected_components(_graph(count, pairs, np.ones(len(pairs))), directed=False)[1], np.int64)
 
 
-def spanning_tree(count: int, pairs: NDArray[np.int64], cost: NDArray[np.float64]) -> list[int]:
+def spanning_tree(count: int, pairs: NDArray[np.int64], cost: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the pairs (as rows of `pairs`) of a spanning forest of least cost; ties go to the earlier row."""
-    joined = np.arange(count)
-    kept = []
-    for edge in np.argsort(cost, kind="stable").tolist():
-        i, j = joined[pairs[edge]]
-        if i != j:
-            joined[joined == max(i, j)] = min(i, j)
-            kept.append(edge)
-    return sorted(kept)
+    order = np.argsort(cost, kind="stable")
+    # A tree depends on the order of the costs alone, and ranks from 1 have neither ties nor zeros, scipy's "no edge".
+    rank = np.argsort(order) + 1
+    return np.sort(order[minimum_spanning_tree(_graph(count, pairs, rank)).data.astype(np.int64) - 1])
+
+
+def _graph(count: int, pairs: NDArray[np.int64], values: NDArray[Any]) -> Any:
+    return coo_array((values, (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
 
 
 def _spectral_frames(edges: MapEdges) -> NDArray[np.float64]:
     """Return (n, K, K) frames; shapes that no chain of pairs joins are solved apart, each group in its own basis."""
     frames = np.tile(np.eye(edges.size), (edges.count, 1, 1))
     component = components(edges.count, edges.pairs)
-    for label in np.unique(component):
+    for label in range(component.max() + 1):
         members = np.flatnonzero(component == label)
         if members.size > 1:
             inside = component[edges.pairs[:, 0]] == label
             pairs = np.searchsorted(members, edges.pairs[inside])
-            frames[members] = _connected_frames(
-                MapEdges(members.size, pairs, edges.maps[inside], edges.weights[inside])
-            )
+            group = MapEdges(members.size, pairs, edges.maps[inside], edges.weights[inside])
+            frames[members] = _connected_frames(group)
     return frames
 
 
@@ -228,23 +232,13 @@ def _connected_frames(edges: MapEdges) -> NDArray[np.float64]:
 
 
 def _tree_frames(edges: MapEdges) -> NDArray[np.float64]:
+    """Return (n, K, K) frames of a connected network: from the identity on shape 0 along the most trusted tree."""
+    kept = spanning_tree(edges.count, edges.pairs, -edges.weights)
+    tree = _graph(edges.count, edges.pairs[kept], np.ones(len(kept)))
+    order, parents = breadth_first_order(tree, 0, directed=False)
     frames = np.tile(np.eye(edges.size), (edges.count, 1, 1))
-    ways: list[list[tuple[int, NDArray[np.float64]]]] = [[] for _ in range(edges.count)]
-    for edge in spanning_tree(edges.count, edges.pairs, -edges.weights):
-        i, j = edges.pairs[edge].tolist()
-        ways[i].append((j, edges.maps[edge]))
-        ways[j].append((i, edges.maps[edge].T))
-    seen = np.zeros(edges.count, dtype=bool)
-    for root in range(edges.count):
-        waiting = [] if seen[root] else [root]
-        seen[root] = True
-        while waiting:
-            here = waiting.pop()
-            for there, functional in ways[here]:
-                if not seen[there]:
-                    seen[there] = True
-                    frames[there] = functional @ frames[here]
-                    waiting.append(there)
+    for here in order[1:].tolist():
+        frames[here] = edges.between(int(parents[here]), here) @ frames[parents[here]]
     return frames
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.collection.network import Network
-from clalign.collection.rows import PairRow, ShapeRow, pair_rows, shape_rows
-from clalign.collection.store import PairMaps, Store
+from clalign.collection.store import PairMaps, PairRow, ShapeRow, Store
 from clalign.errors import ResultError
 
 
@@ -41,7 +40,7 @@ class Collection:
         """
         store = Store(folder)
         store.settings()
-        return Collection(store, tuple(shape_rows(store.folder).read()), tuple(pair_rows(store.folder).read()))
+        return Collection(store, tuple(store.shapes.read()), tuple(store.pairs.read()))
 
     @property
     def folder(self) -> Path:

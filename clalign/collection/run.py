@@ -1,38 +1,40 @@
-"""``match_collection``: a whole set of shapes as one job."""
+"""``match_collection``: a whole set of shapes as one job, from the pairs to the network and what it mends."""
 
 from __future__ import annotations
 
 import itertools
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from clalign.collection.choice import (
+from clalign.collection.cluster import Task, open_client, outcomes, worker_count
+from clalign.collection.forecast import check_disk, needs, workers_that_fit
+from clalign.collection.members import (
     PAIRINGS,
+    Member,
     Pairs,
     all_pairs,
     listed_pairs,
+    read_members,
     spectrum_distances,
     star_pairs,
     tree_pairs,
 )
-from clalign.collection.cluster import Task, open_client, outcomes, worker_count
-from clalign.collection.consistency import NetworkCheck, checked_by_network, missing_pairs
-from clalign.collection.forecast import check_disk, needs, workers_that_fit
-from clalign.collection.members import Member, read_members
+from clalign.collection.network import MapEdges, Network, cycle_errors, cycle_weights, synchronise
 from clalign.collection.result import Collection
-from clalign.collection.rows import PairRow, ShapeRow, pair_rows, shape_rows
-from clalign.collection.session import PageWriter, Settings
-from clalign.collection.store import CACHE_FOLDER, Store, merged, pair_key
-from clalign.collection.work import derive_members, explained, match_members, prepare_member
+from clalign.collection.store import CACHE_FOLDER, PairRow, ShapeRow, Store, merged, pair_key
+from clalign.collection.work import PageWriter, Settings, derive_members, explained, match_members, prepare_member
+from clalign.correspondence import finite_or_none
 from clalign.errors import OptionError
 from clalign.geometry.workers import processor_count
+from clalign.maps.functional_maps import polar_factor
 from clalign.options import Options
+from clalign.rules import CollectionRules
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -44,6 +46,8 @@ Consistency = Literal["auto", "none", "repair", "all"]
 
 DEFAULT_LATENT = 60
 CACHE_SLACK = 1.2
+NETWORK_BYTES = 4e9
+"""Maps of the network in memory at most; a larger set is joined over fewer functions."""
 
 
 def match_collection(
@@ -131,64 +135,94 @@ def match_collection(
     return job.finished()
 
 
-@dataclass
+def checked_by_network(
+    store: Store, names: Sequence[str], rows: Sequence[PairRow], rules: CollectionRules
+) -> tuple[Network, list[PairRow]]:
+    """Synchronise the maps of all direct rows that are "ok"; return the network, and the rows with their errors in it.
+
+    Parameters
+    ----------
+    store : has the maps.
+    names : of the shapes; the network numbers them so.
+    rows : of matched pairs.
+    """
+    number = {name: index for index, name in enumerate(names)}
+    used = [row for row in rows if row.ok]
+    size = max(2, int(np.sqrt(NETWORK_BYTES / (8 * max(len(used), 1)))))
+    maps = [store.read_maps("pairs", row.source, row.target).functional_map[:size, :size].copy() for row in used]
+    size = min((len(functional) for functional in maps), default=1)
+    edges = MapEdges(
+        len(names),
+        np.array([(number[row.source], number[row.target]) for row in used], dtype=np.int64).reshape(-1, 2),
+        polar_factor(np.stack([functional[:size, :size] for functional in maps])) if maps else np.ones((0, 1, 1)),
+        np.ones(len(used)),
+    )
+    cycles = cycle_errors(edges)
+    confidence = np.array([row.confidence or 0.0 for row in used])
+    network = synchronise(replace(edges, weights=cycle_weights(confidence, cycles, rules)), rules)
+    errors = zip(cycles, network.residuals, strict=True)
+    checked = []
+    for row in rows:
+        if row.ok:
+            cycle, residual = map(finite_or_none, next(errors))
+            row = replace(row, cycle_error=cycle, network_error=residual)
+        checked.append(row)
+    return network, checked
+
+
+def missing_pairs(network: Network, names: Sequence[str], matched: set[frozenset[str]]) -> list[tuple[str, str]]:
+    """Return the pairs of shapes, by name, that the network joins and that were not matched."""
+    joined = network.component[:, None] == network.component
+    pairs = ((names[i], names[j]) for i, j in np.argwhere(np.triu(joined, 1)).tolist())
+    return [pair for pair in pairs if frozenset(pair) not in matched]
+
+
 class Job:
     """The run of one collection: what is known so far, and what is still to do."""
 
-    members: tuple[Member, ...]
-    settings: Settings
-    report: Progress
-    shapes: dict[str, ShapeRow] = field(default_factory=dict)
-    direct: dict[tuple[str, str], PairRow] = field(default_factory=dict)
-    final: dict[tuple[str, str], PairRow] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.store: Store = self.settings.store
-        self.by_name = {member.name: member for member in self.members}
-        self.shapes = {row.name: row for row in shape_rows(self.store.folder).read() if row.name in self.by_name}
+    def __init__(self, members: Sequence[Member], settings: Settings, report: Progress) -> None:
+        self.members, self.settings, self.report, self.store = members, settings, report, settings.store
+        self.by_name = {member.name: member for member in members}
+        self.shapes = {row.name: row for row in self.store.shapes.read() if row.name in self.by_name}
+        self.direct: dict[tuple[str, str], PairRow] = {}
+        self.final: dict[tuple[str, str], PairRow] = {}
 
     def match(self, client: Client, pairing: str, listed: Pairs | None) -> None:
         """Prepare shapes and match pairs, each as soon as its shapes are there; what is done already is left alone."""
         futures: dict[str, Future] = {}
+        shapes: Sequence[Member] = ()
         if pairing in ("star", "tree"):
             for task, value in outcomes(client, self._shape_tasks(self.members), futures):
                 self._take_shape(task, value, len(self.members))
-            chosen = self._chosen_by_likeness(pairing)
-            waiting = self._missing(chosen)
-            tasks = self._pair_tasks(waiting, futures)
-            shapes = 0
+            waiting = self._missing(self._chosen_by_likeness(pairing))
         else:
-            chosen = listed if listed is not None else all_pairs(len(self.members))
-            waiting = self._missing(chosen)
-            needed = sorted({index for pair in waiting for index in pair})
-            shapes = len(needed)
-            first = self._shape_tasks([self.members[index] for index in needed])
-            tasks = itertools.chain(first, self._pair_tasks(waiting, futures))
+            waiting = self._missing(listed if listed is not None else all_pairs(len(self.members)))
+            shapes = [self.members[index] for index in sorted({index for pair in waiting for index in pair})]
         estimate = Estimate(len(waiting))
+        tasks = itertools.chain(self._shape_tasks(shapes), self._pair_tasks(waiting, futures))
         for task, value in outcomes(client, tasks, futures):
             if task.function is prepare_member:
-                self._take_shape(task, value, shapes)
+                self._take_shape(task, value, len(shapes))
                 continue
             futures.pop(task.name).release()
-            row = self._pair_row(task, value)
+            row = _pair_row(task, value)
             self.direct[row.source, row.target] = row
-            pair_rows(self.store.folder).append(row)
+            self.store.pairs.append(row)
             self.report("pairs", *estimate.step(row))
         self.final.update(self.direct)
         for future in futures.values():
             future.release()
 
-    def _shape_tasks(self, members: Sequence[Member]) -> Iterator[Task]:
+    def _shape_tasks(self, members: Iterable[Member]) -> Iterator[Task]:
         for member in members:
-            yield Task(_name("shape", member.name), prepare_member, (member, self.settings))
+            yield Task(f"shape-{member.name}", prepare_member, (member, self.settings))
 
     def _pair_tasks(self, pairs: Pairs, futures: dict[str, Future]) -> Iterator[Task]:
-        for i, j in pairs:
-            source, target = self.members[i], self.members[j]
-            prepared = tuple(futures[_name("shape", member.name)] for member in (source, target))
-            yield Task(
-                _name("pair", source.name, target.name), match_members, (source, target, prepared, self.settings)
-            )
+        for pair in pairs:
+            source, target = (self.members[index] for index in pair)
+            prepared = tuple(futures[f"shape-{member.name}"] for member in (source, target))
+            arguments = (source, target, prepared, self.settings)
+            yield Task(f"pair-{source.name}-{target.name}", match_members, arguments)
 
     def _take_shape(self, task: Task, value: Any, total: int) -> None:
         member: Member = task.arguments[0]
@@ -198,12 +232,6 @@ class Job:
         done = sum(1 for row in self.shapes.values() if row.eigenvalues or not row.ok)
         message = member.name if value.ok else f"{member.name} FAILED: {value.message}"
         self.report("shapes", min(1.0, done / max(total, 1)), message)
-
-    def _pair_row(self, task: Task, value: Any) -> PairRow:
-        if isinstance(value, PairRow):
-            return value
-        source, target = task.arguments[:2]
-        return PairRow(source.name, target.name, status="failed", message=explained(value))
 
     def _chosen_by_likeness(self, pairing: str) -> Pairs:
         """Return the star or the tree over the shapes that could be prepared; the others have no pair."""
@@ -218,81 +246,69 @@ class Job:
 
     def _missing(self, pairs: Pairs) -> Pairs:
         """Take the rows of all pairs that are done, and return those of `pairs` that are not."""
-        for source, target in self.store.pair_names("pairs"):
-            first, second = self.by_name.get(source), self.by_name.get(target)
-            if first is not None and second is not None:
-                row = self.store.finished("pairs", source, target, pair_key(first, second, self.settings.options))
+        for names in self.store.pair_names("pairs"):
+            if self.by_name.keys() >= set(names):
+                key = pair_key(self.by_name[names[0]], self.by_name[names[1]], self.settings.options)
+                row = self.store.finished("pairs", *names, key)
                 if row is not None:
-                    self.direct[source, target] = row
-        missing = []
-        for i, j in pairs:
-            names = self.members[i].name, self.members[j].name
-            if names not in self.direct and names[::-1] not in self.direct:
-                missing.append((i, j))
+                    self.direct[names] = row
+        done = {frozenset(names) for names in self.direct}
+        missing = [(i, j) for i, j in pairs if {self.members[i].name, self.members[j].name} not in done]
         logger.info("%d pairs, %d of them done", len(pairs), len(pairs) - len(missing))
         return missing
 
     def make_consistent(self, client: Client, *, everything: bool) -> None:
         """Synchronise the network, repair what contradicts it, and derive the other pairs if that is asked for."""
-        names = tuple(member.name for member in self.members)
+        names, rules = list(self.by_name), self.settings.options.rules.collection
         self.report("network", 0.0, "")
-        check = checked_by_network(
-            self.store, names, list(self.direct.values()), self.settings.options.rules.collection
-        )
-        self.store.write_network(names, check.network)
-        self.report("network", 1.0, f"{len(check.wrong)} maps contradict the others")
-        self.final = {(row.source, row.target): row for row in check.rows}
-        tasks = self._repairs(check)
+        network, rows = checked_by_network(self.store, names, list(self.direct.values()), rules)
+        self.store.write_network(names, network)
+        wrong = [row for row in rows if row.network_error is not None and row.network_error > rules.wrong]
+        self.report("network", 1.0, f"{len(wrong)} maps contradict the others")
+        self.final = {(row.source, row.target): row for row in rows}
+        # The distortion of the map that the pair has, None where it has none.
+        todo: list[tuple[str, str, float | None]] = [(row.source, row.target, row.distortion) for row in wrong]
         if everything:
-            tasks += self._derivations(check)
+            matched = {frozenset(pair) for pair, row in self.direct.items() if row.ok}
+            todo += [(*pair, None) for pair in missing_pairs(network, names, matched)]
+        tasks = [self._derivation(*pair, network) for pair in todo]
         estimate = Estimate(len(tasks))
         for task, value in outcomes(client, tasks):
             row = self._derived_row(task, value)
             self.final[row.source, row.target] = row
             self.report("consistent", *estimate.step(row))
 
-    def _repairs(self, check: NetworkCheck) -> list[Task]:
-        rows = [check.rows[index] for index in check.wrong]
-        return [self._derivation(row.source, row.target, row.distortion, check) for row in rows]
-
-    def _derivations(self, check: NetworkCheck) -> list[Task]:
-        number = {member.name: index for index, member in enumerate(self.members)}
-        matched = {frozenset((number[row.source], number[row.target])) for row in self.direct.values() if row.ok}
-        names = [member.name for member in self.members]
-        return [self._derivation(names[i], names[j], None, check) for i, j in missing_pairs(check.network, matched)]
-
-    def _derivation(self, source: str, target: str, distortion: float | None, check: NetworkCheck) -> Task:
+    def _derivation(self, source: str, target: str, distortion: float | None, network: Network) -> Task:
         first, second = self.by_name[source], self.by_name[target]
-        functional = check.network.functional(self.members.index(first), self.members.index(second))
-        return Task(
-            _name("consistent", source, target),
-            derive_members,
-            (first, second, functional, distortion, check.digest, self.settings),
-        )
+        functional = network.functional(self.members.index(first), self.members.index(second))
+        arguments = (first, second, functional, distortion, network.digest, self.settings)
+        return Task(f"consistent-{source}-{target}", derive_members, arguments)
 
     def _derived_row(self, task: Task, value: Any) -> PairRow:
         """Return the row of a pair after its repair or derivation; a repair that is no better is not taken."""
         source, target, _, distortion = task.arguments[:4]
         before = self.final.get((source.name, target.name))
-        row = self._pair_row(task, value)
+        row = _pair_row(task, value)
         if distortion is None or before is None:
             return replace(row, kind="derived")
-        if (
-            not row.ok
-            or row.distortion is None
-            or row.distortion > self.settings.options.rules.collection.worse * distortion
-        ):
-            return before
-        return merged(before, row)
+        worse = self.settings.options.rules.collection.worse * distortion
+        return before if not row.ok or row.distortion is None or row.distortion > worse else merged(before, row)
 
     def finished(self) -> Collection:
         """Write the index anew, in the order of the shapes, and return the collection."""
-        place = {member.name: index for index, member in enumerate(self.members)}
+        place = {name: index for index, name in enumerate(self.by_name)}
         rows = sorted(self.final.values(), key=lambda row: (place[row.source], place[row.target]))
         shapes = [self.shapes[name] for name in place if name in self.shapes]
-        pair_rows(self.store.folder).write(rows)
-        shape_rows(self.store.folder).write(shapes)
+        self.store.pairs.write(rows)
+        self.store.shapes.write(shapes)
         return Collection(self.store, tuple(shapes), tuple(rows))
+
+
+def _pair_row(task: Task, value: PairRow | Exception) -> PairRow:
+    if isinstance(value, PairRow):
+        return value
+    source, target = task.arguments[:2]
+    return PairRow(source.name, target.name, status="failed", message=explained(value))
 
 
 @dataclass
@@ -308,7 +324,7 @@ class Estimate:
         self.done += 1
         left = (time.monotonic() - self.started) / self.done * (self.total - self.done)
         if row.ok:
-            said = f"{row.kind}" if row.confidence is None else f"confidence {row.confidence:.2f}"
+            said = row.kind if row.confidence is None else f"confidence {row.confidence:.2f}"
         else:
             said = f"{row.status.upper()}: {row.message}"
         when = f", {_duration(left)} left" if self.done < self.total else ""
@@ -319,7 +335,3 @@ def _duration(seconds: float) -> str:
     if seconds < 90:
         return f"about {seconds:.0f} s"
     return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"
-
-
-def _name(kind: str, *names: str) -> str:
-    return "-".join((kind, *names))

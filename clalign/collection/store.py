@@ -13,7 +13,7 @@ import json
 import os
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 
 from clalign.collection.members import Member
 from clalign.collection.network import Network
-from clalign.collection.rows import PairRow, plain
 from clalign.errors import OptionError, ResultError
+from clalign.option_values import flattened
 from clalign.options import Options
 from clalign.storage.files import replaced_file
 from clalign.storage.folders import atomic_folder, recover
+from clalign.storage.rows import RowFile
 
 try:
     import fcntl
@@ -41,7 +42,84 @@ MAPS_FILE = "maps.npz"
 RESULT_FOLDER = "result"
 CACHE_FOLDER = "shapes"
 
+PAIRS_FILE = "pairs.csv"
+SHAPES_FILE = "shapes.csv"
+
 Subfolder = Literal["pairs", "consistent"]
+Kind = Literal["direct", "repaired", "derived"]
+Status = Literal["ok", "failed", "skipped"]
+
+
+@dataclass(frozen=True)
+class PairRow:
+    """What is known of one pair. Lengths in sqrt(area), times in seconds; None, an empty cell, is not known.
+
+    Attributes
+    ----------
+    source, target : names of the shapes.
+    kind : "direct" for a map that was matched, "derived" for one that came from the network alone, "repaired" for one
+        that was matched and then replaced because it contradicted the network.
+    status : "ok"; "failed"; "skipped" because a shape of the pair failed.
+    message : why there is no map.
+    confidence, orientation : of the match, see `clalign.Correspondence`.
+    distortion : mean change of distances under the map.
+    cycle_error, network_error : of the matched map, before any repair: median deviation around triangles, and
+        deviation from the network's map (see `clalign.collection.network`).
+    total, align, unsup : losses at the kept point.
+    seconds : of the work on this pair, all stages together.
+    stages : "name=seconds" joined by ";".
+    loaded : prepared shapes of the pair that the worker had to fetch from the cache, or compute.
+    peak_memory : bytes of the worker process at its largest so far.
+    warnings : joined by " | ".
+    device : that computed, as it names itself.
+    worker : that did the work.
+    """
+
+    source: str
+    target: str
+    kind: Kind = "direct"
+    status: Status = "ok"
+    message: str = ""
+    confidence: float | None = None
+    orientation: float | None = None
+    distortion: float | None = None
+    cycle_error: float | None = None
+    network_error: float | None = None
+    total: float | None = None
+    align: float | None = None
+    unsup: float | None = None
+    seconds: float | None = None
+    stages: str = ""
+    loaded: int | None = None
+    peak_memory: int | None = None
+    warnings: str = ""
+    device: str = ""
+    worker: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is a map."""
+        return self.status == "ok"
+
+
+@dataclass(frozen=True)
+class ShapeRow:
+    """What is known of one shape; `eigenvalues` (not in the file) are the first of its LBO that are positive."""
+
+    name: str
+    path: str
+    status: Status = "ok"
+    message: str = ""
+    vertices: int | None = None
+    faces: int | None = None
+    seconds: float | None = None
+    notes: str = ""
+    eigenvalues: tuple[float, ...] = field(default=(), metadata={"stored": False})
+
+    @property
+    def ok(self) -> bool:
+        """Whether the shape could be prepared."""
+        return self.status == "ok"
 
 
 @dataclass(frozen=True)
@@ -72,10 +150,12 @@ def pair_key(source: Member, target: Member, options: Options, more: str = "") -
 
 
 class Store:
-    """Reads and writes the folder of one collection."""
+    """Reads and writes the folder of one collection; `pairs` and `shapes` are its index, one row each."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder).expanduser().absolute()
+        self.pairs = RowFile(self.folder / PAIRS_FILE, PairRow)
+        self.shapes = RowFile(self.folder / SHAPES_FILE, ShapeRow)
 
     def begin(self, options: Options, settings: dict[str, Any], *, resume: bool) -> None:
         """Make the folder, or check that it may be gone on with.
@@ -104,20 +184,11 @@ class Store:
             stream.write((json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
 
     def _check_options(self, options: Options) -> None:
-        before = self.settings()["options"]
-        now = json.loads(json.dumps(options.as_dict()))
+        before = flattened(self.settings()["options"])
+        now = flattened(json.loads(json.dumps(options.as_dict())))
         if before == now:
             return
-        changed = [
-            f"{group}.{name}" if isinstance(value, dict) else group
-            for group, value in now.items()
-            for name in (value if isinstance(value, dict) else [""])
-            if (
-                before.get(group, {}).get(name) != value[name]
-                if isinstance(value, dict)
-                else before.get(group) != value
-            )
-        ]
+        changed = [name for name, value in now.items() if before.get(name) != value]
         raise OptionError(
             f"{self.folder}: was matched with other values of {', '.join(changed) or 'the options'}; use the same ones "
             "to go on, or another --out"
@@ -195,15 +266,10 @@ class Store:
         more : called with the unfinished folder, to add files that belong to the same whole.
         """
         with atomic_folder(self.pair_folder(subfolder, row.source, row.target), PAIR_FILE, force=True) as unfinished:
-            np.savez(
-                unfinished / MAPS_FILE,
-                target_of_source=maps.target_of_source,
-                source_of_target=maps.source_of_target,
-                functional_map=maps.functional_map,
-            )
+            np.savez(unfinished / MAPS_FILE, **vars(maps))
             if more is not None:
                 more(unfinished)
-            text = json.dumps({"key": key, "row": plain(row)}, indent=1, ensure_ascii=False, allow_nan=False)
+            text = json.dumps({"key": key, "row": asdict(row)}, indent=1, ensure_ascii=False, allow_nan=False)
             (unfinished / PAIR_FILE).write_text(text + "\n", encoding="utf-8")
 
     def read_maps(self, subfolder: Subfolder, source: str, target: str) -> PairMaps:
@@ -214,12 +280,7 @@ class Store:
         ResultError
             They are not there or damaged.
         """
-        path = self.pair_folder(subfolder, source, target) / MAPS_FILE
-        try:
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-                return PairMaps(*(stored[name] for name in ("target_of_source", "source_of_target", "functional_map")))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise ResultError(f"{path}: cannot be read ({error})") from error
+        return PairMaps(**_arrays(self.pair_folder(subfolder, source, target) / MAPS_FILE, PairMaps))
 
     def final_maps(self, row: PairRow) -> PairMaps:
         """Read the maps of a row that is "ok"."""
@@ -228,14 +289,8 @@ class Store:
     def write_network(self, names: Sequence[str], network: Network) -> None:
         """Write ``network.npz``."""
         with replaced_file(self.folder / NETWORK_FILE) as stream:
-            np.savez(
-                stream,
-                names=np.array(names),
-                frames=network.frames,
-                component=network.component,
-                residuals=network.residuals,
-                weights=network.weights,
-            )
+            arrays = {item.name: getattr(network, item.name) for item in fields(network)}
+            np.savez(stream, names=np.array(names), **arrays)
 
     def read_network(self) -> tuple[list[str], Network]:
         """Return the names of the shapes and their network.
@@ -245,13 +300,17 @@ class Store:
         ResultError
             There is none, or it is damaged.
         """
-        path = self.folder / NETWORK_FILE
-        try:
-            with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-                fields = ("frames", "component", "residuals", "weights")
-                return stored["names"].tolist(), Network(*(stored[name] for name in fields))
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise ResultError(f"{path}: cannot be read ({error}); match with --consistency repair") from error
+        arrays = _arrays(self.folder / NETWORK_FILE, Network, "names", way_out="; match with --consistency repair")
+        return arrays.pop("names").tolist(), Network(**arrays)
+
+
+def _arrays(path: Path, kind: type, *more: str, way_out: str = "") -> dict[str, NDArray[Any]]:
+    """Read the fields of a dataclass of arrays, and some more, from a file of ``numpy.savez``."""
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            return {name: stored[name] for name in (*more, *(item.name for item in fields(kind)))}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ResultError(f"{path}: cannot be read ({error}){way_out}") from error
 
 
 def merged(direct: PairRow, repaired: PairRow) -> PairRow:

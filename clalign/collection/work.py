@@ -1,31 +1,50 @@
-"""The tasks of a collection, as they run on the workers. What goes wrong becomes a row that says so."""
+"""The tasks of a collection, as they run on the workers, and what a worker keeps between them.
+
+It keeps its device, a few prepared shapes and its own compiled kernels. What goes wrong becomes a row that says so.
+"""
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import socket
 import sys
+import threading
 import time
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
-from clalign.collection.derive import derived_correspondence
+import clalign
+from clalign.alignment.band import funnel_band
+from clalign.alignment.rotation import least_squares_start
 from clalign.collection.members import Member
-from clalign.collection.rows import Kind, PairRow, ShapeRow
-from clalign.collection.session import Settings, session
-from clalign.collection.store import RESULT_FOLDER, PairMaps, Subfolder, pair_key
+from clalign.collection.store import RESULT_FOLDER, Kind, PairMaps, PairRow, ShapeRow, Store, Subfolder, pair_key
 from clalign.correspondence import Correspondence, finite_or_none
+from clalign.engine import open_backend
+from clalign.engine.backend import Backend
 from clalign.errors import ClalignError
+from clalign.geometry.cache import ShapeCache
+from clalign.geometry.shape import Shape, equally_smoothed, prepare
 from clalign.maps.functional_maps import two_way_functional_map
 from clalign.maps.point_maps import PointMaps
 from clalign.matching.loop import Clock
 from clalign.matching.pair import match_shapes
+from clalign.matching.result import local_distortion
+from clalign.matching.stages import refined_maps, steps_before_alignment
+from clalign.matching.state import aligned_count
+from clalign.mesh.mesh import load_mesh
+from clalign.options import Options
+from clalign.refinement.zoomout import BoundSpectra, two_way_steps
+from clalign.storage.files import claim_kernel_folder
 
 try:
     import resource
@@ -36,6 +55,87 @@ logger = logging.getLogger(__name__)
 
 EIGENVALUES = 30
 """Eigenvalues by which shapes are compared to choose the middle of a star and the branches of a tree."""
+
+HELD_SHAPES = 4
+"""Prepared shapes that a worker keeps in memory: those of its pair, and two that a next pair may need."""
+
+PageWriter = Callable[[Correspondence, Path], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What every task of a collection needs to know; small, as it travels with each of them.
+
+    Attributes
+    ----------
+    folder : of the collection, on a file system that all workers see.
+    options : of every match.
+    cache : folder of the prepared shapes.
+    cache_limit : its largest size in bytes.
+    keep : "maps" stores maps and C of a pair, "full" the whole result besides.
+    latent : functions in the stored C.
+    pages : writes a pair's page into its folder; a function that can be pickled, or None.
+    """
+
+    folder: str
+    options: Options
+    cache: str
+    cache_limit: int
+    keep: str
+    latent: int
+    pages: PageWriter | None = None
+
+    @property
+    def store(self) -> Store:
+        """The folder of the collection."""
+        return Store(self.folder)
+
+
+class Session:
+    """The state of one thread of a worker; `loaded` counts the shapes that were not in its memory."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self._cache = ShapeCache(settings.cache, settings.cache_limit)
+        self._shapes: OrderedDict[str, Shape] = OrderedDict()
+        self.loaded = 0
+
+    @cached_property
+    def backend(self) -> Backend:
+        """The open device, opened when first asked for."""
+        claim_kernel_folder()
+        return open_backend(self.settings.options.engine)
+
+    def shape(self, member: Member) -> Shape:
+        """Return a prepared shape: from memory, else from the cache by the mesh's content, else computed."""
+        held = self._shapes.pop(member.digest, None)
+        if held is None:
+            while len(self._shapes) >= HELD_SHAPES:
+                self._shapes.popitem(last=False)
+            self.loaded += 1
+            held = prepare(load_mesh(member.path), self.settings.options, self._cache)
+        self._shapes[member.digest] = held
+        return held
+
+    def pair(self, source: Member, target: Member) -> tuple[Shape, Shape]:
+        """Return two prepared shapes, both in the metric that the noisier one asks for."""
+        return equally_smoothed(self.shape(source), self.shape(target), self.settings.options.spectrum, self._cache)
+
+
+_threads = threading.local()
+
+
+def session(settings: Settings) -> Session:
+    """Return this thread's session; another collection than before starts a new one.
+
+    BLAS is kept to one thread whatever the number of workers: its sums depend on the number, and maps shall not.
+    """
+    held: Session | None = getattr(_threads, "session", None)
+    if held is None or held.settings != settings:
+        threadpool_limits(1, user_api="blas")
+        held = Session(settings)
+        _threads.session = held
+    return held
 
 
 def prepare_member(member: Member, settings: Settings) -> ShapeRow:
@@ -65,9 +165,10 @@ def match_members(source: Member, target: Member, prepared: tuple[ShapeRow, Shap
     ----------
     prepared : rows of both shapes; the graph's edge from shapes to pairs.
     """
-    broken = [row for row in prepared if not row.ok]
-    if broken:
-        return skipped(source, target, broken[0])
+    for row in prepared:
+        if not row.ok:
+            # Not tried, as a shape of the pair is of no use.
+            return PairRow(source.name, target.name, status="skipped", message=f"{row.name}: {row.message}")
 
     def work() -> Correspondence:
         here = session(settings)
@@ -123,16 +224,18 @@ def _finished_pair(
             peak_memory=_peak_memory(),
         )
         maps = pair_maps(result, settings.latent)
-        settings.store.write_pair(subfolder, row, key, maps, lambda folder: _extras(result, folder, settings))
+
+        def extras(folder: Path) -> None:
+            if settings.keep == "full":
+                result.save(folder / RESULT_FOLDER)
+            if settings.pages is not None:
+                settings.pages(result, folder)
+
+        settings.store.write_pair(subfolder, row, key, maps, extras)
         return row
     except Exception as error:
         logger.debug("%s %s", source.name, target.name, exc_info=True)
         return PairRow(source.name, target.name, kind, "failed", explained(error), worker=_here())
-
-
-def skipped(source: Member, target: Member, broken: ShapeRow) -> PairRow:
-    """Return the row of a pair that was not tried because a shape of it is of no use."""
-    return PairRow(source.name, target.name, status="skipped", message=f"{broken.name}: {broken.message}")
 
 
 def explained(error: Exception) -> str:
@@ -170,13 +273,6 @@ def _row(source: Member, target: Member, kind: Kind, result: Correspondence) -> 
     )
 
 
-def _extras(result: Correspondence, folder: Path, settings: Settings) -> None:
-    if settings.keep == "full":
-        result.save(folder / RESULT_FOLDER)
-    if settings.pages is not None:
-        settings.pages(result, folder)
-
-
 def _peak_memory() -> int | None:
     if resource is None:
         return None
@@ -186,3 +282,52 @@ def _peak_memory() -> int | None:
 
 def _here() -> str:
     return f"{socket.gethostname()}:{os.getpid()}"
+
+
+def derived_correspondence(
+    source: Shape, target: Shape, functional: NDArray[np.float64], backend: Backend, options: Options
+) -> Correspondence:
+    """Return the correspondence that a functional map leads to: refined, with R and the read-out by least squares.
+
+    Parameters
+    ----------
+    source, target : prepared with the same options.
+    functional : (L, L) orthogonal, from coefficients in the first LBO functions of the source to those of the target.
+    """
+    clock = Clock()
+    source, target = equally_smoothed(source, target, options.spectrum)
+    with clock.stage("refinement"):
+        maps = refined_maps(source, target, functional, options, backend)
+    count = aligned_count(source, target, options)
+    scale_invariant = source.scale_invariant.head(count), target.scale_invariant.head(count)
+    with clock.stage("read-out"):
+        # As many steps as a match makes before and after its optimisation.
+        steps = steps_before_alignment(options) + options.readout.steps
+        spectra = BoundSpectra.of(*scale_invariant, backend)
+        maps = two_way_steps(spectra, maps, steps, (source.order, target.order), backend)
+    with clock.stage("start of R"):
+        band, one_sided = funnel_band(count, options.alignment), options.alignment.sides == "one"
+        start = least_squares_start(*scale_invariant, maps, band, backend, one_sided=one_sided)
+    return Correspondence(
+        source=source.mesh,
+        target=target.mesh,
+        target_of_source=source.mesh.map_to_file(target.mesh, maps.target_of_source),
+        source_of_target=target.mesh.map_to_file(source.mesh, maps.source_of_target),
+        functional_map=functional,
+        rotation=start.rotation,
+        source_basis=source.basis.head(max(len(functional), options.spectrum.basis)),
+        target_basis=target.basis.head(max(len(functional), options.spectrum.basis)),
+        source_scale_invariant=scale_invariant[0].head(count, start.signs),
+        target_scale_invariant=scale_invariant[1],
+        history=(),
+        losses={},
+        confidence=math.nan,
+        orientation=math.nan,
+        distortion=local_distortion(source, target, maps.target_of_source),
+        alternatives=(),
+        timings=clock.seconds,
+        warnings=tuple(f"{mesh.name}: {note}" for mesh in (source.mesh, target.mesh) for note in mesh.notes),
+        device=backend.name,
+        options=options,
+        versions={"clalign": clalign.__version__, "numpy": np.__version__},
+    )

@@ -11,7 +11,7 @@ import shapes
 from datasets import NearestMethod
 
 from clalign.benchmark import methods
-from clalign.cli.bench import common
+from clalign.cli.bench import accuracy
 from clalign.cli.main import main
 
 
@@ -161,7 +161,7 @@ def test_bench_animals_when_interrupted(
     def interrupt(record: object) -> str:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(common, "progress_line", interrupt)
+    monkeypatch.setattr(accuracy, "progress_line", interrupt)
     command = ["bench", "animals", str(tmp_path), "--out", str(tmp_path / "out")]
     assert main(command) == 130
     assert "the same command goes on from there" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from clalign import resources
 from clalign.benchmark import calibration
 from clalign.benchmark.calibration import Draw, Measured, fitted, measured, non_negative
 from clalign.benchmark.generated import generated_pair
-from clalign.cli.bench.forecast import draw
+from clalign.cli.bench.speed import draw
 from clalign.cli.main import main
 from clalign.options import Options
 

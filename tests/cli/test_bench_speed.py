@@ -10,7 +10,7 @@ from quick import QUICK
 
 from clalign.benchmark import losses
 from clalign.benchmark.pair import ScaleTime
-from clalign.cli.bench.scale import parsed_sizes
+from clalign.cli.bench.speed import parsed_sizes
 from clalign.cli.main import main
 from clalign.errors import OptionError
 from clalign.presentation.curves import save_scale_plot

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from skips import posix
 
-from clalign.cli import doctor, probe
+from clalign.cli import doctor
 from clalign.cli.main import main
 
 DEVICE: dict[str, Any] = {
@@ -101,12 +101,12 @@ def test_probe_survives_a_crash_and_a_hang(monkeypatch: pytest.MonkeyPatch) -> N
         return script
 
     child("kill -SEGV $$")
-    assert "signal 11" in probe.probe()["error"]
+    assert "signal 11" in doctor.probe()["error"]
     child("echo broken >&2; exit 3")
-    assert "broken" in probe.probe()["error"]
-    monkeypatch.setattr(probe, "PROBE_SECONDS", 0.2)
+    assert "broken" in doctor.probe()["error"]
+    monkeypatch.setattr(doctor, "PROBE_SECONDS", 0.2)
     child("exec sleep 5")
-    assert "did not answer" in probe.probe()["error"]
+    assert "did not answer" in doctor.probe()["error"]
 
 
 def test_vendor_files_are_read_from_where_the_loader_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,10 +11,14 @@ from pathlib import Path
 import pytest
 
 import clalign
-from clalign.cli.main import COMMANDS, build_parser, main
+from clalign.cli.main import build_parser, main
 from clalign.option_values import leaves
 from clalign.options import Options
 
+COMMANDS = (
+    *("match", "demo", "check", "collection", "show", "transfer", "export", "evaluate", "figures"),
+    *("bench", "cache", "options", "doctor"),
+)
 PROGRAM = [sys.executable, "-m", "clalign.cli.main"]
 
 
@@ -47,10 +51,10 @@ def test_help_names_every_command_at_once() -> None:
     assert done.returncode == 0
     assert done.stderr == ""
     for command in COMMANDS:
-        assert f"\n    {command.__name__.rpartition('.')[2]} " in done.stdout  # type: ignore[attr-defined]
+        assert f"\n    {command} " in done.stdout
 
 
-@pytest.mark.parametrize("command", [command.__name__.rpartition(".")[2] for command in COMMANDS])  # type: ignore[attr-defined]
+@pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main([command, "--help"])

@@ -12,22 +12,22 @@ import threading
 import pytest
 from skips import posix
 
-from clalign.cli.interrupts import Interrupts
+from clalign.cli.match import missed_interrupts
 
 
 def test_swallowed_interrupt_is_raised_again() -> None:
     before = signal.getsignal(signal.SIGINT)
-    with Interrupts() as interrupts:
-        interrupts.raise_missed()
+    with missed_interrupts() as raise_missed:
+        raise_missed()
         with contextlib.suppress(BaseException):
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
-            interrupts.raise_missed()
+            raise_missed()
     assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_interrupt_raises_at_once_as_ever() -> None:
-    with Interrupts(), pytest.raises(KeyboardInterrupt):
+    with missed_interrupts(), pytest.raises(KeyboardInterrupt):
         signal.raise_signal(signal.SIGINT)
 
 
@@ -37,8 +37,8 @@ def test_other_threads_may_use_it_without_effect() -> None:
 
     def work() -> None:
         try:
-            with Interrupts() as interrupts:
-                interrupts.raise_missed()
+            with missed_interrupts() as raise_missed:
+                raise_missed()
         except BaseException as error:
             failures.append(error)
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from clalign.cli.terminal import BarView, LineView, Terminal, table
+from clalign.cli.terminal import Progress, Terminal, bars, lines, table
 
 DRIVER = """
 from clalign.cli.terminal import Terminal
@@ -21,16 +21,14 @@ terminal.say("done")
 """
 
 
-def drive(progress: LineView) -> None:
+def drive(progress: Progress) -> None:
     for stage in ("source", "alignment"):
         for part in range(5):
             progress(stage, part / 4, f"loss {9 - part}")
 
 
 def test_log_gets_one_line_a_stage(capsys: pytest.CaptureFixture[str]) -> None:
-    with LineView() as progress:
-        assert isinstance(progress, LineView)
-        drive(progress)
+    drive(lines())
     shown = capsys.readouterr()
     assert shown.out == ""
     assert shown.err == "source: loss 9\nalignment: loss 9\n"
@@ -41,11 +39,9 @@ def test_log_gets_a_line_when_a_stage_takes_long(
 ) -> None:
     clock = iter(range(0, 1000, 6))
     monkeypatch.setattr("clalign.cli.terminal.time.monotonic", lambda: float(next(clock)))
-    with LineView() as progress:
-        assert isinstance(progress, LineView)
-        drive(progress)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[:3] == ["source: loss 9", "source 50%: loss 7", "source 100%: loss 5"]
+    drive(lines())
+    shown = capsys.readouterr().err.splitlines()
+    assert shown[:3] == ["source: loss 9", "source 50%: loss 7", "source 100%: loss 5"]
 
 
 def test_terminal_gets_bars_on_stderr_only() -> None:
@@ -98,7 +94,7 @@ def test_bar_of_a_stage_that_fails_stays_where_it_was(
     capsys: pytest.CaptureFixture[str], fraction: float, shown: str, message: str
 ) -> None:
     def fail() -> None:
-        with BarView() as progress:
+        with bars() as progress:
             progress("source", 0.3, "earlier")
             progress("alignment", fraction, message)
             raise KeyError

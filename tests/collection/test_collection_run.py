@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 import clalign
 from clalign.collection.result import Collection
-from clalign.collection.rows import PairRow, pair_rows
 from clalign.collection.run import match_collection
+from clalign.collection.store import PairRow, Store
 from clalign.errors import OptionError, ResultError
 
 PROGRAM = [sys.executable, "-m", "clalign.cli.main", "collection"]
@@ -80,7 +80,7 @@ def started(folder: Path, out: Path, *extra: str) -> subprocess.Popen[bytes]:
 
 
 def finished_pairs(out: Path) -> list[PairRow]:
-    return [row for row in pair_rows(out).read() if row.ok] if out.is_dir() else []
+    return [row for row in Store(out).pairs.read() if row.ok] if out.is_dir() else []
 
 
 def test_every_pair_is_matched_and_recorded(whole: Collection, folder: Path, numbers: Numbers) -> None:
@@ -97,7 +97,7 @@ def test_every_pair_is_matched_and_recorded(whole: Collection, folder: Path, num
         assert row.cycle_error is not None
         assert row.cycle_error < 0.5
         assert row.total is not None
-    assert Collection.load(whole.folder).pairs == tuple(pair_rows(whole.folder).read())
+    assert Collection.load(whole.folder).pairs == tuple(whole.store.pairs.read())
 
 
 def test_a_mesh_that_fails_is_named_and_its_pairs_are_skipped(whole: Collection) -> None:
@@ -175,7 +175,7 @@ def test_killed_worker_costs_its_running_pair_only(folder: Path, numbers: Number
     assert process.wait(timeout=LIMIT) == 0
     done = Collection.load(out)
     assert sum(row.ok for row in done.pairs) == PAIRS
-    assert len(pair_rows(out).read()) == PAIRS
+    assert len(Store(out).pairs.read()) == PAIRS
     workers = {row.worker for row in done.pairs}
     assert len(workers) > 1
     for row in done.pairs:

@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 import shapes
 
-from clalign.collection.choice import BLOCK, all_pairs, listed_pairs, spectrum_distances, star_pairs, tree_pairs
-from clalign.collection.members import read_members
+from clalign.collection.members import (
+    BLOCK,
+    all_pairs,
+    listed_pairs,
+    read_members,
+    spectrum_distances,
+    star_pairs,
+    tree_pairs,
+)
 from clalign.errors import ResultError
 
 

@@ -10,7 +10,7 @@ import shapes
 from collections_small import OPTIONS
 
 from clalign.collection.members import read_members
-from clalign.collection.session import HELD_SHAPES, Session, Settings
+from clalign.collection.work import HELD_SHAPES, Session, Settings
 from clalign.geometry import shape as preparation
 
 

@@ -11,8 +11,7 @@ from collections_small import OPTIONS, write_shapes
 
 from clalign.collection.forecast import check_disk, needs, shape_bytes, workers_that_fit
 from clalign.collection.members import Member, read_members
-from clalign.collection.rows import PairRow, ShapeRow, pair_rows, shape_rows
-from clalign.collection.store import PairMaps, Store, pair_key
+from clalign.collection.store import PairMaps, PairRow, ShapeRow, Store, pair_key
 from clalign.errors import MemoryBudgetError, OptionError, ResultError
 from clalign.options import Options
 
@@ -25,13 +24,13 @@ def maps(rng: np.random.Generator) -> PairMaps:
 
 def test_rows_survive_the_file(tmp_path: Path) -> None:
     other = PairRow("a", "c", status="failed", message="why")
-    index = pair_rows(tmp_path)
+    index = Store(tmp_path).pairs
     index.append(ROW)
     index.append(other)
     assert index.read() == [replace(ROW, warnings='two lines, a comma and a "quote"'), other]
     shape = ShapeRow("a", "/a.off", vertices=12, seconds=0.5, eigenvalues=(1.0, 2.0))
-    shape_rows(tmp_path).write([shape])
-    assert shape_rows(tmp_path).read() == [replace(shape, eigenvalues=())]
+    Store(tmp_path).shapes.write([shape])
+    assert Store(tmp_path).shapes.read() == [replace(shape, eigenvalues=())]
 
 
 def test_pair_is_finished_only_under_its_key(tmp_path: Path, rng: np.random.Generator) -> None:

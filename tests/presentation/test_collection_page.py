@@ -15,8 +15,7 @@ from collections_small import OPTIONS, write_shapes
 from numpy.typing import NDArray
 
 from clalign.collection.result import Collection
-from clalign.collection.rows import PairRow, ShapeRow
-from clalign.collection.store import PairMaps, Store
+from clalign.collection.store import PairMaps, PairRow, ShapeRow, Store
 from clalign.presentation.camera import front_view
 from clalign.presentation.collection_page import page as collection_page
 from clalign.presentation.collection_page import write_collection_page

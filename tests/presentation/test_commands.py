@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from clalign.cli import export, show, transfer
+from clalign.cli import saved
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError, ResultError
 from clalign.mesh.mesh import load_mesh
@@ -32,8 +32,8 @@ def run() -> Run:
     """Run one command line through the parsers of the three commands."""
     parser = argparse.ArgumentParser()
     subparsers = parser.add_subparsers(required=True)
-    for command in (transfer, export, show):
-        command.add_parser(subparsers)
+    for add in (saved.add_transfer, saved.add_export, saved.add_show):
+        add(subparsers)
 
     def run_line(*words: object) -> int:
         args = parser.parse_args([str(word) for word in words])
@@ -87,11 +87,11 @@ def test_texture_becomes_an_obj(run: Run, small: Correspondence, result: Path, t
 
 
 def test_export_writes_every_format(run: Run, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [word for name in export.FORMATS for word in ("--format", name)]
+    words = [word for name in saved.FORMATS for word in ("--format", name)]
     assert run("export", result, *words, "--out", tmp_path / "all", "--up", "z") == 0
     printed = capsys.readouterr().out.splitlines()
     assert sorted(printed) == sorted(str(path) for path in (tmp_path / "all").iterdir())
-    assert len(printed) >= len(export.FORMATS)
+    assert len(printed) >= len(saved.FORMATS)
 
 
 def test_show_without_pyvista_says_what_to_install(run: Run, result: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -115,6 +115,6 @@ def test_geomfum_finds_the_same_maps(whole: Correspondence, tmp_path: Path) -> N
 
 
 def test_every_format_of_the_command_exists() -> None:
-    from clalign.cli import export
+    from clalign.cli import saved
 
-    assert set(export.FORMATS) == {*exports.FORMATS, "report", "picture"}
+    assert set(saved.FORMATS) == {*exports.FORMATS, "report", "picture"}

@@ -8,8 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from clalign.cli.bench.common import add_option_arguments, add_output_arguments
-from clalign.cli.job import option_changes
+from clalign.cli.match import option_changes
 from clalign.cli.terminal import Terminal
+from clalign.options import Options
 
 _DESCRIPTION = """\
 Match all pairs of a folder of shapes with one local worker, with two, and with two workers of a scheduler in other
@@ -47,7 +48,6 @@ def run(args: argparse.Namespace) -> int:
     """Make the runs and write the tables; 1 when maps differ between runs or a pair has none."""
     from clalign.benchmark.collections import costs, different_maps, error_rows, errors_table, run_one, times_table
     from clalign.benchmark.table import update_file
-    from clalign.options import Options
 
     options = Options.preset(args.preset).replace(option_changes(args))
     terminal = Terminal(quiet=args.quiet, as_json=args.json)

@@ -13,7 +13,7 @@ from urllib.parse import quote
 import numpy as np
 
 from clalign.collection.result import Collection
-from clalign.collection.rows import PairRow
+from clalign.collection.store import PairRow
 from clalign.correspondence import Correspondence
 from clalign.presentation.collection_page.pictures import shape_pictures
 from clalign.presentation.html_page import write_page
