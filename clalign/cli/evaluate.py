@@ -154,12 +154,9 @@ def summary_rows(evaluation: Evaluation) -> list[tuple[str, str]]:
     """Return name and value of the figures that a person wants to see first."""
     values = evaluation.as_dict()
     area, diameter = values["per_sqrt_area"], values["per_diameter"]
-    curves = area["area_under_curve"], diameter["area_under_curve"]
+    measured, curves = evaluation.points.size, (area["area_under_curve"], diameter["area_under_curve"])
     rows = [
-        (
-            "points",
-            f"{len(evaluation.points)} measured, {evaluation.unmatched} unmatched, {evaluation.skipped} skipped",
-        ),
+        ("points", f"{measured} measured, {evaluation.unmatched} unmatched, {evaluation.skipped} skipped"),
         ("distances", f"{evaluation.method}; diameter {evaluation.diameter:.3f} sqrt(area)"),
         ("mean error", f"{100 * area['mean']:.3f} x 100 / sqrt(area), {100 * diameter['mean']:.3f} % of the diameter"),
         ("quantiles", ", ".join(f"{q} % {100 * area[f'q{q}']:.3f}" for q in (50, 75, 90, 95, 99))),

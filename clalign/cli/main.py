@@ -1,7 +1,7 @@
 """Entry point of the ``clalign`` command.
 
-A command is a module of this folder with ``add_parser(subparsers)`` and ``run(args) -> int``. Modules are imported
-for ``--help``, so they import everything heavy inside ``run``.
+A command is ``add_parser(subparsers)`` and ``run(args) -> int`` in a module of this folder. Modules are imported for
+``--help``, so they import everything heavy inside ``run``.
 """
 
 from __future__ import annotations
