@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from skips import backend
+
 #: Few functions, no search, one short round: every stage runs, none for long.
 QUICK = [
     *(
@@ -31,6 +33,11 @@ class Shown(NamedTuple):
 
 
 Run = Callable[..., Shown]
+
+
+def device() -> list[str]:
+    """Arguments of commands that are to run on any machine: none, or numpy where there is no OpenCL device."""
+    return [] if backend() == "opencl" else ["--device", "reference"]
 
 
 def left_in(folder: Path) -> list[str]:

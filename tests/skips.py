@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Generator
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import pytest
 
@@ -26,6 +27,20 @@ ALLOWED = (
 
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals, pipes and rights as POSIX has them")
+
+
+@functools.cache
+def backend() -> Literal["opencl", "reference"]:
+    """Return which backend tests take that hold for either: numpy where there is no OpenCL device."""
+    # Not before the caches of the drivers have their folders.
+    from clalign.engine.device_choice import list_devices
+    from clalign.errors import DeviceError
+
+    try:
+        list_devices()
+    except DeviceError:
+        return "reference"
+    return "opencl"
 
 
 def _judged(report: Report) -> Report:

@@ -18,6 +18,7 @@ from clalign.presentation.curves import save_scale_plot
 CHANGES = [*QUICK[3:], "--device", "reference"]
 
 
+@pytest.mark.usefixtures("opencl")
 def test_kernels_states_the_device_and_fills_a_section(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

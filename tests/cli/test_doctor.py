@@ -39,6 +39,7 @@ def answering(monkeypatch: pytest.MonkeyPatch, devices: dict[str, Any], checks: 
     )
 
 
+@pytest.mark.usefixtures("opencl")
 def test_this_machine_works() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "clalign.cli.main", "doctor", "--json"], capture_output=True, text=True, check=False

@@ -169,6 +169,7 @@ def test_bad_truth_is_found_before_the_match(
     assert message in done.stderr
 
 
+@pytest.mark.usefixtures("opencl")
 def test_existing_folders_are_refused_before_the_match(tmp_path: Path, bumpy_files: tuple[Path, ...]) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "notes.txt").write_text("mine")
@@ -189,6 +190,7 @@ def test_existing_folders_are_refused_before_the_match(tmp_path: Path, bumpy_fil
 
 
 @pytest.mark.parametrize("name", ["x" * 250, "x" * 300])
+@pytest.mark.usefixtures("opencl")
 def test_folders_that_cannot_be_made_are_found_before_the_match(
     tmp_path: Path, bumpy_files: tuple[Path, ...], name: str
 ) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from quick import device
 
 import clalign
 from clalign.cli.main import main
@@ -46,10 +47,12 @@ def failing(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
 
 
 def arguments(files: tuple[Path, ...], out: Path, *extra: str) -> list[str]:
-    return ["match", str(files[0]), str(files[1]), "--out", str(out), "--no-picture", "--no-report", *extra]
+    plain = ["--no-picture", "--no-report", *device()]
+    return ["match", str(files[0]), str(files[1]), "--out", str(out), *plain, *extra]
 
 
 @pytest.mark.usefixtures("perfect")
+@pytest.mark.usefixtures("opencl")
 def test_summary_goes_to_stdout_and_progress_to_stderr(
     tmp_path: Path, bumpy_files: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -93,6 +96,7 @@ def test_quiet_shows_only_warnings(
     assert shown.err == "warning: a warning with an umlaut: ü\n"
 
 
+@pytest.mark.usefixtures("opencl")
 def test_named_arguments_and_set_reach_the_options(
     tmp_path: Path, bumpy_files: tuple[Path, ...], perfect: list[Options]
 ) -> None:
@@ -114,6 +118,7 @@ def test_named_arguments_and_set_reach_the_options(
 
 
 @pytest.mark.usefixtures("perfect")
+@pytest.mark.usefixtures("opencl")
 def test_missing_device_is_told_before_the_match(
     tmp_path: Path, bumpy_files: tuple[Path, ...], perfect: list[Options], capsys: pytest.CaptureFixture[str]
 ) -> None:

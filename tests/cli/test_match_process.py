@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from quick import device
 from skips import posix
 
 from clalign.correspondence import Correspondence
@@ -34,7 +35,7 @@ SMALL = ["--preset", "fast", "--set", "geodesics.search_samples=200"]
 
 
 def command(files: tuple[Path, ...], out: Path, *extra: str) -> list[str]:
-    return [*PROGRAM, "match", str(files[0]), str(files[1]), "--out", str(out), *SMALL, *extra]
+    return [*PROGRAM, "match", str(files[0]), str(files[1]), "--out", str(out), *SMALL, *device(), *extra]
 
 
 def hidden(folder: Path) -> list[str]:

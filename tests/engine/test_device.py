@@ -88,6 +88,7 @@ def test_the_option_goes_before_the_environment(monkeypatch):
     assert wanted_device("") == ""
 
 
+@pytest.mark.usefixtures("opencl")
 def test_the_environment_reaches_the_device(monkeypatch):
     monkeypatch.setenv("CLALIGN_DEVICE", "no such device")
     with pytest.raises(DeviceError, match="no such device"):
@@ -126,6 +127,7 @@ def test_too_large_an_array_is_refused_with_its_numbers(needed, left):
     check_budget(1000, (10, 25), 1000, CPU)
 
 
+@pytest.mark.usefixtures("opencl")
 def test_a_budget_counts_what_is_in_use_and_what_is_given_back():
     limited = Kernels(Device(memory=1 << 20))
     kept = limited.zeros(200_000)

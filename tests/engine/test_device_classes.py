@@ -19,7 +19,7 @@ from clalign.engine.reference import Reference
 
 
 @pytest.fixture(scope="module", params=[GPU, CPU, CPU_LONG_VECTORS], ids=["gpu", "cpu", "cpu, long vectors"])
-def wide(request: pytest.FixtureRequest) -> Kernels:
+def wide(opencl: None, request: pytest.FixtureRequest) -> Kernels:
     kernels = Kernels(Device())
     kernels.device.constants = request.param
     return kernels
@@ -75,6 +75,7 @@ def test_no_part_is_empty(length: int, most: int):
     assert ceil_div(length, parts) == size
 
 
+@pytest.mark.usefixtures("opencl")
 def test_a_gram_matrix_is_the_sum_of_parts_that_were_all_written(rng):
     """614,401 rows in 1,024 parts of 601 would leave the last one empty."""
     kernels = Kernels(Device())

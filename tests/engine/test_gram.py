@@ -69,6 +69,7 @@ print(digest.hexdigest(), backend.device.facts.units)
 """
 
 
+@pytest.mark.usefixtures("opencl")
 def test_sums_do_not_depend_on_the_number_of_units():
     """Workers of a collection share the processors of a machine in different ways, and must find the same maps."""
     found = {}

@@ -96,6 +96,7 @@ def failing_buffer(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
         (failing_buffer, "failed while allocating"),
     ],
 )
+@pytest.mark.usefixtures("opencl")
 def test_a_device_that_fails_in_the_middle(
     match: Run,
     facts: list[str],
@@ -116,6 +117,7 @@ def test_a_device_that_fails_in_the_middle(
     assert left_in(tmp_path) == []
 
 
+@pytest.mark.usefixtures("opencl")
 def test_no_double_precision(match: Run, facts: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     changed_devices(monkeypatch, double=False)
     shown = match(tmp_path / "out", "--set", "engine.precision=double", device="")
@@ -127,6 +129,7 @@ def test_no_double_precision(match: Run, facts: list[str], tmp_path: Path, monke
     assert match(tmp_path / "out", device="").status == 0
 
 
+@pytest.mark.usefixtures("opencl")
 def test_a_device_of_64_mib(tmp_path: Path, match: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """What does not fit is refused before it is tried; what fits is computed."""
     changed_devices(monkeypatch, memory=64 * MIB, largest_buffer=16 * MIB)
@@ -141,6 +144,7 @@ def test_a_device_of_64_mib(tmp_path: Path, match: Run, monkeypatch: pytest.Monk
     assert match(tmp_path / "out", device="").status == 0
 
 
+@pytest.mark.usefixtures("opencl")
 def test_a_budget_that_the_match_exceeds(match: Run, facts: list[str], tmp_path: Path) -> None:
     shown = match(tmp_path / "out", "--set", "engine.memory=30000", device="")
     assert shown.status == 1
@@ -150,6 +154,7 @@ def test_a_budget_that_the_match_exceeds(match: Run, facts: list[str], tmp_path:
     assert left_in(tmp_path) == []
 
 
+@pytest.mark.usefixtures("opencl")
 def test_every_opencl_failure_begins_with_the_facts(match: Run, tmp_path: Path) -> None:
     """The real question to the drivers, in a process of its own."""
     shown = match(tmp_path / "out", device="abacus")
@@ -207,6 +212,7 @@ def test_without_any_driver_the_next_command_is_named(pair: tuple[Path, Path], t
     assert left_in(tmp_path / "work") == []
 
 
+@pytest.mark.usefixtures("opencl")
 def test_errors_of_the_device_stay_what_they_are_in_python(
     pair: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

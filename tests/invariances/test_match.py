@@ -11,6 +11,7 @@ import shapes
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapes import Pair
+from skips import backend
 
 from clalign import match
 from clalign.correspondence import Correspondence
@@ -46,7 +47,8 @@ class Distances(NamedTuple):
 
 
 def matched(source: Arrays, target: Arrays, **changes: Any) -> Correspondence:
-    return match(source, target, OPTIONS.replace({name.replace("__", "."): value for name, value in changes.items()}))
+    named = {name.replace("__", "."): value for name, value in changes.items()}
+    return match(source, target, OPTIONS.replace({"engine.backend": backend()} | named))
 
 
 @pytest.fixture(scope="module")
@@ -209,6 +211,7 @@ def test_a_shape_with_a_boundary(bumpy: Arrays) -> None:
     assert distances[result.target_of_source, truth].mean() < 0.02
 
 
+@pytest.mark.usefixtures("opencl")
 @pytest.mark.parametrize("cycle", [False, True])
 def test_both_backends_give_one_map(
     plain: Correspondence, pair: Pair, on_target: Distances, on_source: Distances, cycle: bool

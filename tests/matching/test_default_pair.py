@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from skips import backend
 
 from clalign import match
 from clalign.correspondence import Correspondence
 from clalign.data import bundled_pair
 from clalign.evaluation.errors import evaluate
 from clalign.evaluation.truth import Truth
+from clalign.options import Options
 
 OWN = np.arange(6890)
 
@@ -18,7 +20,7 @@ OWN = np.arange(6890)
 @pytest.fixture(scope="module")
 def result() -> Correspondence:
     pair = bundled_pair()
-    return match(pair.source, pair.target)
+    return match(pair.source, pair.target, Options().replace({"engine.backend": backend()}))
 
 
 @pytest.fixture(scope="module")
