@@ -8,8 +8,9 @@ import datasets
 import numpy as np
 import pytest
 
-from clalign.benchmark import methods
+from clalign.benchmark.methods import Method, Outcome
 from clalign.benchmark.pairs import LoadedPair
+from clalign.cli.bench import accuracy
 from clalign.cli.main import main
 
 
@@ -17,7 +18,7 @@ def test_command_draws_curves_of_a_benchmark(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = ["paper", "default"]
-    monkeypatch.setattr(methods, "named_methods", lambda _, changes: [datasets.NearestMethod(name) for name in names])
+    monkeypatch.setattr(accuracy, "named_methods", lambda _, changes: [datasets.NearestMethod(name) for name in names])
     datasets.write_poses(tmp_path / "faust", [f"tr_reg_{number:03d}" for number in range(3)])
     bench = ["bench", "faust", "--root", str(tmp_path / "faust"), "--out", str(tmp_path / "bench"), "--quiet"]
     assert main(bench) == 0
@@ -34,8 +35,8 @@ def test_the_last_settings_of_a_method_count(tmp_path: Path, monkeypatch: pytest
     """A folder that was run again with other settings has rows of both: they are not averaged."""
     datasets.write_poses(tmp_path / "faust", [f"tr_reg_{number:03d}" for number in range(2)])
 
-    def drawn(method: methods.Method) -> float:
-        monkeypatch.setattr(methods, "named_methods", lambda _, changes: [method])
+    def drawn(method: Method) -> float:
+        monkeypatch.setattr(accuracy, "named_methods", lambda _, changes: [method])
         bench = ["bench", "faust", "--root", str(tmp_path / "faust"), "--out", str(tmp_path / "bench"), "--quiet"]
         assert main(bench) == 0
         assert main(["figures", str(tmp_path / "bench"), "--out", str(tmp_path / "out"), "--which", "5"]) == 0
@@ -54,5 +55,5 @@ class AllToOne:
     name: str
     settings: str = "all to one"
 
-    def __call__(self, pair: LoadedPair) -> methods.Outcome:
-        return methods.Outcome(np.zeros(pair.source.file_count, dtype=np.int64), 0.1)
+    def __call__(self, pair: LoadedPair) -> Outcome:
+        return Outcome(np.zeros(pair.source.file_count, dtype=np.int64), 0.1)
