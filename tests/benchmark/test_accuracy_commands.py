@@ -10,7 +10,6 @@ import pytest
 import shapes
 from datasets import NearestMethod
 
-from clalign.benchmark import methods
 from clalign.cli.bench import accuracy
 from clalign.cli.main import main
 
@@ -96,7 +95,7 @@ def test_evaluate_says_what_is_wrong(
 def nearest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stand in for the matcher."""
     monkeypatch.setattr(
-        methods, "named_methods", lambda names, changes: [NearestMethod(name, fails_on="tr_reg_002") for name in names]
+        accuracy, "named_methods", lambda names, changes: [NearestMethod(name, fails_on="tr_reg_002") for name in names]
     )
 
 
@@ -166,7 +165,7 @@ def test_bench_animals_when_interrupted(
     assert main(command) == 130
     assert "the same command goes on from there" in capsys.readouterr().err
     monkeypatch.undo()
-    monkeypatch.setattr(methods, "named_methods", lambda names, changes: [NearestMethod("default", fails_on="cow2")])
+    monkeypatch.setattr(accuracy, "named_methods", lambda names, changes: [NearestMethod("default", fails_on="cow2")])
     assert main(command) == 0
 
 

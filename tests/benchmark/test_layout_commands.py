@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import shapes
 
-from clalign.benchmark import methods
 from clalign.benchmark.methods import Outcome
 from clalign.benchmark.pairs import LoadedPair
+from clalign.cli.bench import accuracy
 from clalign.cli.main import main
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def test_every_layout_runs_and_names_what_is_wrong(
     human_pair: Pair,
     write: Callable[[Path, Pair], list[str]],
 ) -> None:
-    monkeypatch.setattr(methods, "named_methods", lambda names, _: [Oracle(name) for name in names])
+    monkeypatch.setattr(accuracy, "named_methods", lambda names, _: [Oracle(name) for name in names])
     arguments = write(tmp_path / "data", human_pair)
     command = ["bench", "faust", *arguments, "--out", str(tmp_path / "out"), "--points", "40", "--json"]
     assert main([*command, "--variants", "default"]) == 1
@@ -97,7 +97,7 @@ def test_every_layout_runs_and_names_what_is_wrong(
 def test_humans_layout_reads_lines_of_the_body(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, human_pair: Pair
 ) -> None:
-    monkeypatch.setattr(methods, "named_methods", lambda names, _: [Oracle(name) for name in names])
+    monkeypatch.setattr(accuracy, "named_methods", lambda names, _: [Oracle(name) for name in names])
     root = tmp_path / "remeshed"
     for number, body in enumerate(bodies(human_pair)):
         own, faces, place = shapes.renumbered(*body, number)

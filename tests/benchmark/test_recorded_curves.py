@@ -10,6 +10,7 @@ import pytest
 
 from clalign.benchmark import methods
 from clalign.benchmark.pairs import LoadedPair
+from clalign.cli.bench import accuracy
 from clalign.cli.main import main
 
 
@@ -17,7 +18,7 @@ def test_command_draws_curves_of_a_benchmark(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = ["paper", "default"]
-    monkeypatch.setattr(methods, "named_methods", lambda _, changes: [datasets.NearestMethod(name) for name in names])
+    monkeypatch.setattr(accuracy, "named_methods", lambda _, changes: [datasets.NearestMethod(name) for name in names])
     datasets.write_poses(tmp_path / "faust", [f"tr_reg_{number:03d}" for number in range(3)])
     bench = ["bench", "faust", "--root", str(tmp_path / "faust"), "--out", str(tmp_path / "bench"), "--quiet"]
     assert main(bench) == 0
@@ -35,7 +36,7 @@ def test_the_last_settings_of_a_method_count(tmp_path: Path, monkeypatch: pytest
     datasets.write_poses(tmp_path / "faust", [f"tr_reg_{number:03d}" for number in range(2)])
 
     def drawn(method: methods.Method) -> float:
-        monkeypatch.setattr(methods, "named_methods", lambda _, changes: [method])
+        monkeypatch.setattr(accuracy, "named_methods", lambda _, changes: [method])
         bench = ["bench", "faust", "--root", str(tmp_path / "faust"), "--out", str(tmp_path / "bench"), "--quiet"]
         assert main(bench) == 0
         assert main(["figures", str(tmp_path / "bench"), "--out", str(tmp_path / "out"), "--which", "5"]) == 0
