@@ -27,6 +27,7 @@ def near(predicted: float, found: float) -> bool:
     return found / WITHIN < predicted < found * WITHIN
 
 
+@pytest.mark.usefixtures("opencl")
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the measure is an upper bound")
 @pytest.mark.parametrize(
     ("vertices", "changes"),

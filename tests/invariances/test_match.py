@@ -220,11 +220,3 @@ def test_both_backends_give_one_map(
     numpy = matched(pair.source, pair.target, alignment__cycle=cycle, engine__backend="reference")
     assert_same(opencl, numpy.target_of_source, numpy.source_of_target, on_target, on_source)
     assert numpy.losses["total"] == pytest.approx(opencl.losses["total"], rel=0.01)
-
-
-def test_the_literal_losses_give_the_same_map(
-    plain: Correspondence, pair: Pair, on_target: Distances, on_source: Distances
-) -> None:
-    literal = matched(pair.source, pair.target, alignment__distances="dense")
-    assert on_target.apart(literal.target_of_source, plain.target_of_source) < 0.005
-    assert on_source.apart(literal.source_of_target, plain.source_of_target) < 0.005
