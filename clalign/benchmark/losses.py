@@ -162,7 +162,7 @@ def _best_seconds(backend: Backend, size: ProblemSize, count: int, samples: int,
 def dense_evaluation(
     functional: Single, basis_x: Single, basis_y: Single, mass_y: Single, distances_x: Single, distances_y: Single
 ) -> tuple[float, Single]:
-    """Return l_unsup (Eq. 16) with uniform weights and its gradient by C, with P and both D stored.
+    """Return l_unsup (Eq. 17, 22) with uniform weights and its gradient by C, with P and both D stored.
 
     With K = Ψ C Φᵀ and c_j = C φ_j, P_ij = a_i K_ij² / |c_j|² is the soft map (Eq. 27), and
     l = |PᵀD_Y P − D_X|² / n². Three products of n × n matrices are the bulk of the work: D_Y P, Pᵀ(D_Y P), and

@@ -19,7 +19,6 @@ from clalign.transfer.surface_map import SurfaceMap, surface_map, vertex_map
 _FUNCTION_BYTES = 8_000_000
 _MOST_FUNCTIONS = 120
 _PROVENANCE = ("device", "confidence", "orientation", "losses", "timings", "warnings", "options", "versions")
-_HISTORY_LINES = ("total", "align", "unsup", "cycle", "unitarity")
 
 
 def build_payload(
@@ -129,7 +128,8 @@ def _agreement(
 
 def _history(correspondence: Correspondence) -> dict[str, list[float | None]]:
     columns = {"outer_iteration": [finite_or_none(entry.get("outer_iteration", 0)) for entry in correspondence.history]}
-    for name in _HISTORY_LINES:
+    every = dict.fromkeys(name for entry in correspondence.history for name in entry)
+    for name in (name for name in every if name not in ("outer_iteration", "evaluation")):
         values = [finite_or_none(entry.get(name, math.nan)) for entry in correspondence.history]
         if any(value is not None and value != 0 for value in values):
             columns[name] = values

@@ -77,7 +77,7 @@ function fillHistory() {
   const charts = Object.entries(lines).map(([name, y]) => {
     const known = y.filter((value) => value !== null);
     const summary = `${name}: from ${readable(known[0], 4)} to ${readable(known[known.length - 1], 4)}`;
-    return lineChart({ x, y, marks, caption: HISTORY_NAMES[name], summary });
+    return lineChart({ x, y, marks, caption: HISTORY_NAMES[name] ?? name, summary });
   });
   body.append(make("p", { class: "hint" }, `${x.length} evaluations in ${new Set(iteration).size} outer iterations; a dashed line `
     + "begins a new one: the map inside the losses is renewed and λ takes its next value, so the curves may jump there."));
