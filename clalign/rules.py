@@ -144,17 +144,17 @@ class ZoomOutSchedule:
     """How a functional map is grown by ZoomOut.
 
     start : functions that are kept of it; None keeps all, and adds at once.
-    repeats : steps with the functions that were kept, before any are added.
     step : functions added at a time.
     strength : variance of the pointwise descriptors beside the eigenfunctions, relative to theirs.
     descriptors : which; see `pointwise_descriptors`.
+    repeats : steps with the functions that were kept, before any are added.
     """
 
     start: int | None = None
     step: int = 20
-    repeats: int = 2
     strength: float = 0.0
     descriptors: PointwiseKind = "curvatures"
+    repeats: int = 2
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,6 @@ def test_without_pyfm_the_message_says_how_to_get_it(monkeypatch: pytest.MonkeyP
     def absent(name: str) -> str:
         raise importlib.metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(importlib.metadata, "version", absent)
+    monkeypatch.setattr("clalign.benchmark.peers.version", absent)
     with pytest.raises(InputError, match=r"pip install pyfmaps==1\.3\.1"):
         _ = PyfmMethod().settings
