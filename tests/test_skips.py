@@ -40,7 +40,7 @@ def test_a_skip_fails_unless_its_reason_is_allowed(tmp_path: Path, value: str, s
     (tmp_path / "test_module.py").write_text(MODULE, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "--continue-on-collection-errors", "--rootdir", str(tmp_path), str(tmp_path)],
-        env={**os.environ, skips.VARIABLE: value, "PYTHONPATH": str(Path(__file__).parent)},
+        env={**os.environ, skips.VARIABLE: value, "PYTHONPATH": str(Path(__file__).parent), "PYTEST_ADDOPTS": ""},
         capture_output=True,
         text=True,
         check=False,
