@@ -42,9 +42,7 @@ _SPECTRA = ("source_basis", "target_basis", "source_scale_invariant", "target_sc
 
 @dataclass(frozen=True, eq=False)
 class Alternative(PointMaps):
-    """A map that the search considered and that differs from the chosen one.
-
-    Maps are in file numbering, -1 where a vertex is not on the surface.
+    """A map that the search considered and that differs from the chosen one, in file numbering, -1 off the surface.
 
     score : product of five unit-free ones, the lower the better; comparable between the maps of one match. They are the
         distortion of distances, the differences of mean curvature, Gaussian curvature and heat kernel signatures, and
