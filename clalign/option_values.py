@@ -35,7 +35,8 @@ REMOVED: Mapping[str, tuple[Any, ...]] = {
 """Options that are gone, with the values that are what is done now."""
 
 
-_hints: Callable[[Any], Mapping[str, Any]] = functools.cache(get_type_hints)
+type_hints: Callable[[Any], Mapping[str, Any]] = functools.cache(get_type_hints)
+"""Types of the fields of a dataclass by name, evaluated once: every change of an option asks for those of all."""
 
 
 def translated(changes: Mapping[str, Any], *, warn: bool) -> dict[str, Any]:
@@ -88,7 +89,7 @@ def replaced(options: Group, changes: Mapping[str, Any]) -> Group:
 
 def leaves(options: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the dotted name and the type of every value of a nested dataclass."""
-    hints = _hints(type(options))
+    hints = type_hints(type(options))
     for entry in dataclasses.fields(options):
         value, key = getattr(options, entry.name), f"{prefix}{entry.name}"
         if dataclasses.is_dataclass(value):
@@ -98,7 +99,7 @@ def leaves(options: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _replaced(options: Any, changes: Mapping[str, Any], prefix: str) -> Any:
-    hints, values = _hints(type(options)), {}
+    hints, values = type_hints(type(options)), {}
     for entry in dataclasses.fields(options):
         key, current = f"{prefix}{entry.name}", getattr(options, entry.name)
         if dataclasses.is_dataclass(current):
@@ -148,7 +149,7 @@ def _items(value: Any, key: str) -> Sequence[Any]:
 def _built(value: Any, kind: Any, key: str) -> Any:
     if isinstance(value, kind):
         return value
-    hints = _hints(kind)
+    hints = type_hints(kind)
     if not isinstance(value, Mapping) or value.keys() - hints.keys():
         raise OptionError(f"{key} must hold values of {', '.join(hints)}, got {value!r}")
     try:

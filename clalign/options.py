@@ -11,10 +11,10 @@ import math
 import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin
 
 from clalign.errors import OptionError
-from clalign.option_values import flattened, leaves, replaced, translated
+from clalign.option_values import flattened, leaves, replaced, translated, type_hints
 from clalign.rules import Rules
 
 Metric = Literal["euclidean", "regularized", "power", "heat-kernel", "auto"]
@@ -70,7 +70,7 @@ def _check_rule(name: str, value: Any) -> None:
 
 
 def _check_choices(group: str, options: Any) -> None:
-    for name, hint in get_type_hints(type(options)).items():
+    for name, hint in type_hints(type(options)).items():
         if get_origin(hint) is Literal:
             allowed = get_args(hint)
             value = getattr(options, name)

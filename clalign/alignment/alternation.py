@@ -159,15 +159,3 @@ def finished(
     last = objective.value_and_gradient(objective.pack(state.rotation), state.fixed)
     maps = read_out(objective, state.rotation, readout, state.fixed.target_of_source, guess)
     return AlignedRotation(state.rotation, maps, state.history, {"total": last.total, **last.terms}, state.status)
-
-
-def optimised_rotation(
-    objective: Objective,
-    start: NDArray[np.float64],
-    readout: Readout,
-    watch: Watch | None = None,
-    guess: PointMaps | None = None,
-) -> AlignedRotation:
-    """Run all outer iterations; see `outer_iterations`."""
-    *_, state = outer_iterations(objective, start, readout, watch, guess)
-    return finished(objective, state, readout, guess)

@@ -174,7 +174,7 @@ class DistortionLoss:
     ) -> None:
         array = backend.array
         self._backend, self._soft_map = backend, soft_map
-        self.basis = array(np.ascontiguousarray(source.basis[factors.vertices]))
+        self.basis = array(source.basis[factors.vertices])
         self.left, self.core_source = array(factors.left), array(factors.core)
         self.weights = array(factors.weights)
         self._core_target = array(target.core)

@@ -77,16 +77,12 @@ def shape_data(
     )
 
 
-def sampled_factors(shape: Shape, options: AlignmentOptions, patches: int) -> SampledFactors:
+def sampled_factors(shape: Shape, options: AlignmentOptions) -> SampledFactors:
     """Return the distance factors at the vertices of the losses.
 
     All vertices when `options.samples` is 0 or not less than their number, or, whatever it is, when the geodesic
     samples are all vertices. Else farthest-point samples, weighted by the areas of their cells: they depend
     on the surface alone, not on how its vertices are numbered.
-
-    Parameters
-    ----------
-    patches : that samples are told apart by elsewhere in a match, so that they are made once.
     """
     count = shape.mesh.n_vertices
     available = shape.geodesics.samples.size
@@ -94,7 +90,7 @@ def sampled_factors(shape: Shape, options: AlignmentOptions, patches: int) -> Sa
         vertices = np.arange(count)
         weights = np.full(count, 1.0 / count) if options.weights == "uniform" else shape.mass
     else:
-        spread = shape.samples(options.samples, patches)
+        spread = shape.samples(options.samples)
         vertices, weights = spread.vertices, spread.weights
     left = shape.factors.left[vertices]
     gram = left.T @ (weights[:, None] * left)

@@ -31,9 +31,7 @@ def argmax_map(
     weights : (n_y,) row weights of P; ones give the paper's form.
     """
     index, _ = backend.soft_map_argmax(
-        backend.array(np.ascontiguousarray(source @ functional.T)),
-        backend.array(np.ascontiguousarray(target)),
-        backend.array(weights),
+        backend.array(source @ functional.T), backend.array(target), backend.array(weights)
     )
     return backend.numpy(index).astype(np.int64)
 

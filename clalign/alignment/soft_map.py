@@ -1,8 +1,8 @@
 """The two ways to evaluate the soft map P of Eq. 15 and 27, Z = PᵀU and its gradient, and which of them is cheaper.
 
 Both compute the same numbers where `normal` is ψᵀ diag(w) ψ (None: the identity, with ψ orthonormal in w), apart from
-rounding: moments are summed over all vertices of the side beforehand, into packed moments, the streamed form in
-every evaluation.
+rounding. They differ in when the vertices of the side are summed over: once, into packed moments, or anew in every
+evaluation.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ SoftMap: TypeAlias = MomentsSoftMap | StreamedSoftMap
 
 
 def evaluation_cost(rows: int, vertices: int, functions: int, rank: int) -> tuple[int, int]:
-    """Return the multiply-adds of value and gradient of one soft map, by the moments and by the streamed form.
+    """Return the multiply-adds of value and gradient of one soft map, through moments and streamed.
 
     Both run at about the same rate (``clalign bench kernels`` measures them side by side), so that these numbers alone
     decide.

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-import clalign
 from clalign.alignment.band import funnel_band
 from clalign.alignment.rotation import least_squares_start
 from clalign.collection.members import Member
@@ -38,7 +37,7 @@ from clalign.maps.functional_maps import two_way_functional_map
 from clalign.maps.point_maps import PointMaps
 from clalign.matching.loop import Clock
 from clalign.matching.pair import match_shapes
-from clalign.matching.result import local_distortion
+from clalign.matching.result import local_distortion, versions
 from clalign.matching.stages import refined_maps, steps_before_alignment
 from clalign.matching.state import aligned_count
 from clalign.mesh.mesh import load_mesh
@@ -329,5 +328,7 @@ def derived_correspondence(
         warnings=tuple(f"{mesh.name}: {note}" for mesh in (source.mesh, target.mesh) for note in mesh.notes),
         device=backend.name,
         options=options,
-        versions={"clalign": clalign.__version__, "numpy": np.__version__},
+        versions=versions(),
+        xi=options.spectrum.xi,
+        status="not run",
     )

@@ -22,12 +22,10 @@ class Samples:
     ----------
     vertices : (S,) int64.
     weights : (S,) float64, share of the area that is closest to each; sums to 1.
-    patches : (S,) int64, number of the patch of the surface that each lies in.
     """
 
     vertices: NDArray[np.int64]
     weights: NDArray[np.float64]
-    patches: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,19 +60,16 @@ class VertexOrder:
         return VertexOrder.of(np.arange(count))
 
 
-def spread_samples(
-    points: NDArray[np.float64], mass: NDArray[np.float64], geodesics: Geodesics, count: int, patches: int
-) -> Samples:
+def spread_samples(points: NDArray[np.float64], mass: NDArray[np.float64], geodesics: Geodesics, count: int) -> Samples:
     """Return the first `count` farthest-point samples of a surface, and more where it has fewer.
 
     Large meshes have few geodesic samples; what is missing is chosen farthest from those before in space, which spreads
-    them as evenly but for parts that touch. A patch is what is closest, on the surface, to one of the first samples.
+    them as evenly but for parts that touch.
 
     Parameters
     ----------
     points, mass : (n, 3) and (n,), of the vertices.
     count : samples; all vertices where there are fewer.
-    patches : how many there are.
     """
     geodesic = geodesics.samples[:count]
     wanted = min(count, len(points))
@@ -84,7 +79,7 @@ def spread_samples(
         weights = np.bincount(nearest, weights=mass, minlength=wanted).astype(np.float64)
     else:
         vertices, weights = geodesic, geodesics.sample_weights(geodesic.size)
-    return Samples(vertices, weights, np.argmin(geodesics.rows[:patches, vertices], axis=0).astype(np.int64))
+    return Samples(vertices, weights)
 
 
 def _farthest_in_space(points: NDArray[np.float64], chosen: NDArray[np.int64], count: int) -> NDArray[np.int64]:

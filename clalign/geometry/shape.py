@@ -87,9 +87,13 @@ class Shape:
         return VertexOrder.spatial(self.mesh.vertices)
 
     @memoize
-    def samples(self, count: int, patches: int) -> Samples:
+    def samples(self, count: int) -> Samples:
         """Return `count` samples spread over the surface; see `spread_samples`."""
-        return spread_samples(self.mesh.vertices, self.mass, self.geodesics, count, patches)
+        return spread_samples(self.mesh.vertices, self.mass, self.geodesics, count)
+
+    def patches(self, vertices: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+        """Return the patch of each of some vertices (m,): which of the first `count` samples is closest to it."""
+        return np.argmin(self.geodesics.rows[:count, vertices], axis=0).astype(np.int64)
 
 
 @dataclass(frozen=True)

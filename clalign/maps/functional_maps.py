@@ -18,6 +18,14 @@ from clalign.geometry.spectra import Spectrum
 from clalign.maps.nearest import point_maps, uploaded
 from clalign.maps.point_maps import PointMaps
 
+EQUATIONS_A_FUNCTION = 2
+"""Least squares on samples have at least so many equations for every function."""
+
+
+def told_apart(equations: int) -> int:
+    """Return how many functions least squares with so many equations can tell apart."""
+    return equations // EQUATIONS_A_FUNCTION
+
 
 class MatchedRows(NamedTuple):
     """Basis functions at matched points: row i of both belongs to the same match.
@@ -67,7 +75,7 @@ def two_way_functional_map(
     source: Spectrum, target: Spectrum, maps: PointMaps, size: int | None = None, backend: Backend = HOST
 ) -> NDArray[np.float64]:
     """Return the functional map (size, size) of the first functions that explains maps of all vertices best."""
-    x, y = (backend.array(np.ascontiguousarray(side.functions[:, :size])) for side in (source, target))
+    x, y = (backend.array(side.functions[:, :size]) for side in (source, target))
     return two_way_least_squares(x, y, backend.array(source.mass), backend.array(target.mass), maps, backend)
 
 

@@ -43,12 +43,12 @@ def nearest_in_cells(
     chosen = np.linspace(0, len(points) - 1, count).round().astype(np.int64)
     sought, places, penalty = backend.array(queries), backend.array(points), backend.array(half[:, None])
     centres = backend.gather(places, backend.array(chosen)), backend.array(half[chosen])
-    members = _grouped(backend.numpy(backend.nearest(places, *centres)[0]), count)
+    points_of_cells = _grouped(backend.numpy(backend.nearest(places, *centres)[0]), count)
     near = _nearest_centres(queries, points[chosen], half[chosen], min(probes, count))
-    seekers = [positions // near.shape[1] for positions in _grouped(near.reshape(-1), count)]
+    queries_of_cells = [positions // near.shape[1] for positions in _grouped(near.reshape(-1), count)]
     found = np.full(len(queries), len(points), dtype=np.int64)
     best = np.full(len(queries), -np.inf)
-    for rows, cell in zip(seekers, members, strict=True):
+    for rows, cell in zip(queries_of_cells, points_of_cells, strict=True):
         if not rows.size or not cell.size:
             continue
         inside = backend.array(cell)
@@ -78,9 +78,9 @@ def _nearest_centres(
 ) -> NDArray[np.int32]:
     """Return for each query (m, k) the `count` nearest of the centres (c, k) in no order: (m, count)."""
     near = np.empty((len(queries), count), dtype=np.int32)
-    turned, penalty = centres.T.astype(np.float32), half.astype(np.float32)
+    transposed, penalty = centres.T.astype(np.float32), half.astype(np.float32)
     for start in range(0, len(queries), BLOCK):
-        scores = penalty - queries[start : start + BLOCK].astype(np.float32) @ turned
+        scores = penalty - queries[start : start + BLOCK].astype(np.float32) @ transposed
         near[start : start + BLOCK] = np.argpartition(scores, count - 1, axis=1)[:, :count]
     return near
 

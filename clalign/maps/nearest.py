@@ -37,7 +37,7 @@ Orders = tuple[VertexOrder, VertexOrder]
 
 def uploaded(backend: Backend, rows: Any) -> Any:
     """Return an array of the backend from one of the host, or the array itself if it is there already."""
-    return backend.array(np.ascontiguousarray(rows)) if isinstance(rows, np.ndarray) else rows
+    return backend.array(rows) if isinstance(rows, np.ndarray) else rows
 
 
 def _on_host(backend: Backend, rows: Any) -> NDArray[Any]:

@@ -56,7 +56,7 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
         warnings=(*_remarks(state, options), *_failures(state), *_doubts(state, options.rules.judgement)),
         device=backend.name,
         options=options,
-        versions=_versions(),
+        versions=versions(),
         source_faces=None if points is None else source.mesh.to_file(points.faces, -1),
         source_barycentric=None if points is None else source.mesh.to_file(points.barycentric, 0.0),
         score=float("nan") if found is None else found.chosen.score,
@@ -159,11 +159,12 @@ def _users_level() -> int:
     return level
 
 
-def _versions() -> dict[str, str]:
-    versions = {"python": platform.python_version()}
+def versions() -> dict[str, str]:
+    """Return the versions of Python, of this package and of those that it computes with."""
+    found = {"python": platform.python_version()}
     for name in ("clalign", "numpy", "scipy", "trimesh", "pyopencl", "nlopt", "potpourri3d"):
         try:
-            versions[name] = importlib.metadata.version(name)
+            found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            versions[name] = "not installed as a package"
-    return versions
+            found[name] = "not installed as a package"
+    return found

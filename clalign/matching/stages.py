@@ -215,6 +215,6 @@ def bind(
         shape_data(shape, size, spectrum.functions, options.alignment)
         for shape, spectrum in zip((source, target), scale_invariant, strict=True)
     )
-    factors = sampled_factors(source, options.alignment, options.rules.refinement.patches)
+    factors = sampled_factors(source, options.alignment)
     band = funnel_band(scale_invariant[0].count, options.alignment)
     return Objective(x, y, factors, band, backend, options.alignment, options.rules.alignment)

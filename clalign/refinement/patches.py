@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape
 from clalign.geometry.spectra import Spectrum
-from clalign.maps.functional_maps import polar_factor, singular_value_weighting
+from clalign.maps.functional_maps import polar_factor, singular_value_weighting, told_apart
 from clalign.maps.nearest import point_maps
 from clalign.maps.orientation import carried_products, index_pairs
 from clalign.maps.point_maps import PointMaps
 from clalign.maps.sampling import SampledBasis, nearest_samples, sample_functional_map, two_way_sample_steps
-from clalign.refinement.zoomout import SAMPLES_A_FUNCTION, grown_map
+from clalign.refinement.zoomout import grown_map
 from clalign.rules import RefinementRules
 
 
@@ -43,6 +43,9 @@ def embedding_residuals(
     at_x = source.at_samples(size) - target.functions[maps.target_of_source, :size] @ rotation
     at_y = target.at_samples(size) @ rotation - source.functions[maps.source_of_target, :size]
     return np.einsum("sk,sk->s", at_x, at_x), np.einsum("sk,sk->s", at_y, at_y)
+
+
+Patches = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +87,14 @@ class Orientations:
 def best_patches(
     source: SampledBasis,
     target: SampledBasis,
+    patches: Patches,
     candidates: Sequence[PointMaps],
     rules: RefinementRules,
     orientations: Orientations | None = None,
 ) -> PointMaps:
     """Return the maps that take every patch from the candidate with the least residual there, on each shape.
 
+    patches : (S_x,) and (S_y,), number of the patch that each sample lies in.
     orientations : with them a patch that a candidate turns inside out is taken from another one, if there is any.
         Residuals alone would not mind: what is mirrored as a whole fits as well but along its rim.
     """
@@ -98,7 +103,8 @@ def best_patches(
     matches = [(maps.target_of_source, maps.source_of_target) for maps in candidates]
     forward, backward = (
         _chosen(
-            basis,
+            basis.samples.weights,
+            patches[side],
             [pair[side] for pair in matches],
             [pair[side] for pair in residuals],
             None if agreements is None else [pair[side] for pair in agreements],
@@ -109,13 +115,12 @@ def best_patches(
 
 
 def _chosen(
-    basis: SampledBasis,
+    weights: NDArray[np.float64],
+    patches: NDArray[np.int64],
     matches: list[NDArray[np.int64]],
     residuals: list[NDArray[np.float32]],
     agreements: list[NDArray[np.float64]] | None,
 ) -> NDArray[np.int64]:
-    weights, patches = basis.samples.weights, basis.samples.patches
-
     def totals(values: list[Any]) -> NDArray[np.float64]:
         return np.stack([np.bincount(patches, weights=weights * each) for each in values])
 
@@ -157,12 +162,16 @@ def patchwise_maps(
         started = nearest_samples(*low, (np.eye(len(larger)), polar_factor(larger)), None, backend)
         grown.append(settled(started, high, rules.settle))
     orientations = Orientations(*low, source.orientation, target.orientation, rules)
-    maps = best_patches(*high, grown, rules, orientations)
+    patches = (
+        source.patches(high[0].samples.vertices, rules.patches),
+        target.patches(high[1].samples.vertices, rules.patches),
+    )
+    maps = best_patches(*high, patches, grown, rules, orientations)
     for _ in range(rules.generations):
         lower = settled(settled(maps, low, rules.regrow_low), high, rules.settle)
-        maps = best_patches(*high, [maps, settled(maps, high, rules.regrow), lower], rules, orientations)
-    equations = sum(basis.samples.vertices.size for basis in high)
-    count = min(high[0].count, high[1].count, max(equations // (2 * SAMPLES_A_FUNCTION), 1))
+        maps = best_patches(*high, patches, [maps, settled(maps, high, rules.regrow), lower], rules, orientations)
+    samples = sum(basis.samples.vertices.size for basis in high) // 2
+    count = min(high[0].count, high[1].count, max(told_apart(samples), 1))
     factors = singular_value_weighting(sample_functional_map(*high, maps, count, rules.ridge))
     x, y = (basis.embedded(factor, backend) for basis, factor in zip(high, factors, strict=True))
     return point_maps(x, y, (source.order, target.order), backend=backend)
@@ -172,7 +181,7 @@ def _sampled_bases(
     source: Shape, target: Shape, spectra: tuple[Spectrum, Spectrum], rules: RefinementRules, backend: Backend
 ) -> tuple[SampledBasis, SampledBasis]:
     x, y = (
-        SampledBasis.of(spectrum, shape.samples(rules.samples, rules.patches), shape.order, backend)
+        SampledBasis.of(spectrum, shape.samples(rules.samples), shape.order, backend)
         for shape, spectrum in zip((source, target), spectra, strict=True)
     )
     return x, y

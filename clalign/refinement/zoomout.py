@@ -18,6 +18,7 @@ from clalign.maps.functional_maps import (
     functional_point_maps,
     polar_factor,
     singular_value_weighting,
+    told_apart,
     two_way_least_squares,
 )
 from clalign.maps.nearest import Orders, nearest_rows, permuted, point_maps
@@ -27,9 +28,6 @@ from clalign.refinement.pointwise import pointwise_descriptors
 from clalign.rules import RefinementRules, Rules, ZoomOutSchedule
 from clalign.search.batch import SamplePair, up_sample
 from clalign.search.score import map_scores
-
-SAMPLES_A_FUNCTION = 2
-"""Least squares on samples have at least so many equations for every function."""
 
 
 def grown_map(
@@ -50,9 +48,9 @@ def grown_map(
     ----------
     functional : (k, k), where to start.
     """
-    queried = _in_order(target.samples(rules.queries, rules.patches), target)
+    queried = _in_order(target.samples(rules.queries), target)
     order = source.order.vertices
-    largest = min(size, source.basis.count, target.basis.count, queried.vertices.size // SAMPLES_A_FUNCTION)
+    largest = min(size, source.basis.count, target.basis.count, told_apart(queried.vertices.size))
     basis, functions = target.basis.functions[queried.vertices, :largest], source.basis.functions[order, :largest]
     gram = basis.T @ (basis * queried.weights[:, None])
     kept = min(schedule.start or len(functional), len(functional), largest)
@@ -80,7 +78,7 @@ def grown_map(
 def _in_order(samples: Samples, shape: Shape) -> Samples:
     """Return samples in the order of the shape's vertices."""
     order = np.argsort(shape.order.inverse[samples.vertices])
-    return Samples(samples.vertices[order], samples.weights[order], samples.patches[order])
+    return Samples(samples.vertices[order], samples.weights[order])
 
 
 def best_grown_map(

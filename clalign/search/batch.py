@@ -18,6 +18,7 @@ from clalign.engine.backend import Backend
 from clalign.engine.reference import DistortionKind
 from clalign.geometry.heat import prefix_shares
 from clalign.geometry.shape import Shape
+from clalign.maps.functional_maps import told_apart
 from clalign.maps.orientation import orientation_scores
 from clalign.maps.zoomout import zoomout
 from clalign.memoize import memoize
@@ -118,12 +119,10 @@ class SamplePair:
         return SamplePair(SampledShape.of(source), SampledShape.of(target), backend)
 
     def fit(self, size: int, queries: int, points: int) -> Level:
-        """Return a step reduced to what small shapes have: no more samples than there are, at most half as many
-        functions as samples.
-        """
+        """Return a step reduced to what small shapes have: their samples, and functions that these can tell apart."""
         queries, points = min(queries, self.target.count), min(points, self.source.count)
         functions = min(self.source.functions.shape[1], self.target.functions.shape[1])
-        return Level(min(size, functions, max(queries // 2, 4), max(points // 2, 4)), queries, points)
+        return Level(min(size, functions, max(told_apart(min(queries, points)), 4)), queries, points)
 
     def fitted(self, level: Level) -> Level:
         """Return `fit` of a step's sizes."""
@@ -132,13 +131,13 @@ class SamplePair:
     @memoize
     def points(self, count: int, size: int) -> tuple[Any, Any]:
         """Return the first `size` functions at the first `count` samples of X, and their halved squared norms."""
-        values = np.ascontiguousarray(self.source.functions[:count, :size])
+        values = self.source.functions[:count, :size]
         return self.backend.array(values), self.backend.array(0.5 * np.sum(values**2, axis=1))
 
     @memoize
     def synthesis(self, count: int, size: int) -> Any:
         """Return the first `size` functions at the first `count` samples of Y."""
-        return self.backend.array(np.ascontiguousarray(self.target.functions[:count, :size]))
+        return self.backend.array(self.target.functions[:count, :size])
 
     @memoize
     def analysis(self, count: int, size: int) -> Any:
@@ -149,8 +148,8 @@ class SamplePair:
     def distances(self, queries: int, points: int) -> tuple[Any, Any, Any]:
         """Return distances among samples of X, among samples of Y, and the weights of the latter."""
         return (
-            self.backend.array(np.ascontiguousarray(self.source.distances[:points, :points])),
-            self.backend.array(np.ascontiguousarray(self.target.distances[:queries, :queries])),
+            self.backend.array(self.source.distances[:points, :points]),
+            self.backend.array(self.target.distances[:queries, :queries]),
             self.backend.array(self.target.prefix_weights(queries)),
         )
 
@@ -178,7 +177,7 @@ class SamplePair:
 
     def upload(self, functional: NDArray[np.floating]) -> Any:
         """Bring (B, k, k) functional maps to the backend, as (k, B, k)."""
-        return self.backend.array(np.ascontiguousarray(functional.transpose(1, 0, 2)))
+        return self.backend.array(functional.transpose(1, 0, 2))
 
     def download(self, functional: Any, index: Any) -> Batch:
         """Bring a batch back to the host."""
@@ -231,16 +230,14 @@ def distortions(
 ) -> NDArray[np.float64]:
     """Return each candidate's geodesic distortion, squared or relative, weighted over pairs of samples."""
     distances_x, distances_y, weights = pair.distances(index.shape[0], points)
-    values = pair.backend.distortion_batch(
-        distances_x, distances_y, weights, pair.backend.array(np.ascontiguousarray(index)), kind=kind
-    )
+    values = pair.backend.distortion_batch(distances_x, distances_y, weights, pair.backend.array(index), kind=kind)
     return pair.backend.numpy(values).astype(np.float64)
 
 
 def map_distances(pair: SamplePair, index: NDArray[np.int32], points: int) -> NDArray[np.float64]:
     """Return (B, B): mean geodesic distance on X between the images under two candidates."""
     distances_x, _, weights = pair.distances(index.shape[0], points)
-    values = pair.backend.map_distance(distances_x, weights, pair.backend.array(np.ascontiguousarray(index)))
+    values = pair.backend.map_distance(distances_x, weights, pair.backend.array(index))
     return pair.backend.numpy(values).astype(np.float64)
 
 
@@ -254,7 +251,11 @@ def least_distorted(pair: SamplePair, batch: Batch, points: int, radius: float, 
     among : so many of least distortion are looked at (0: all).
     """
     order = np.argsort(distortions(pair, batch.index, points), kind="stable")
-    batch = batch.take(order[:among] if among else order)
+    return distinct(pair, batch.take(order[:among] if among else order), points, radius, most)
+
+
+def distinct(pair: SamplePair, batch: Batch, points: int, radius: float, most: int) -> Batch:
+    """Return the first `most` candidates without those within `radius` of an earlier one; see `least_distorted`."""
     between = map_distances(pair, batch.index, points)
     return batch.take(np.array(without_duplicates(between, np.arange(batch.count), radius, most)))
 

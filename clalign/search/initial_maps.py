@@ -54,7 +54,7 @@ def unfold(pair: SamplePair, blocks: NDArray[np.float32], strength: float, rules
     columns[:, low:] = scale * carried_products(blocks, pair.target.tensor, pairs)[:, :, :size_y]
     embedded = pair.backend.product(
         pair.synthesis(level.queries, size_y),
-        pair.backend.array(np.ascontiguousarray(columns.transpose(2, 0, 1).reshape(size_y, -1))),
+        pair.backend.array(columns.transpose(2, 0, 1).reshape(size_y, -1)),
     )
     index, _ = pair.backend.nearest(
         embedded.reshape(level.queries * len(blocks), low + len(pairs)),

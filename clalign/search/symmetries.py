@@ -56,6 +56,6 @@ def unfolded_again(pair: SamplePair, functional: NDArray[np.float32], rules: Sea
     results = []
     for size in rules.unfold_sizes:
         if size <= functional.shape[1]:
-            blocks = np.ascontiguousarray(functional[:, :size, :size])
+            blocks = functional[:, :size, :size]
             results.append(oriented_initial_maps(pair, blocks, rules.oriented.strengths, rules))
     return results

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.rules import Level, SearchRules, TreeRules
-from clalign.search.batch import Batch, SamplePair, distortions, map_distances, up_sample, without_duplicates
+from clalign.search.batch import Batch, SamplePair, distinct, distortions, up_sample
 from clalign.search.initial_maps import oriented_initial_maps, sign_patterns
 
 
@@ -41,13 +41,11 @@ def thinned(pair: SamplePair, batch: Batch, level: Level, rules: TreeRules, prod
         scores = pair.orientations(batch, products)
         kept = scores > rules.least_orientation
         batch = batch.take(kept if kept.any() else scores == scores.max())
-    values = distortions(pair, batch.index, pair.fitted(level).points)
+    points = pair.fitted(level).points
+    values = distortions(pair, batch.index, points)
     order = np.argsort(values, kind="stable")
     order = order[values[order] < rules.slack * values[order[0]] + rules.margin][: rules.among * rules.most]
-    batch = batch.take(order)
-    between = map_distances(pair, batch.index, pair.fitted(level).points)
-    kept_candidates = without_duplicates(between, np.arange(batch.count), rules.radius, rules.most)
-    return batch.take(np.array(kept_candidates))
+    return distinct(pair, batch.take(order), points, rules.radius, rules.most)
 
 
 def grow(pair: SamplePair, tree: TreeRules, rules: SearchRules) -> Batch:

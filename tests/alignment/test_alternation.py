@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from prepared import Bound
 
-from clalign.alignment.alternation import AlignmentState, finished, optimised_rotation, outer_iterations
+from clalign.alignment.alternation import AlignedRotation, AlignmentState, finished, outer_iterations
 from clalign.alignment.objective import Evaluation, Objective
 from clalign.alignment.readout import read_out
 
@@ -21,6 +21,12 @@ def objective(problem: Objective, rotation: Any, readout: Any = "aligned") -> fl
     """Return the objective of R with its own hard map, at the first round's weight."""
     fixed = problem.fix(rotation, read_out(problem, rotation, readout).target_of_source, problem.options.weight)
     return problem.value_and_gradient(problem.pack(rotation), fixed).total
+
+
+def optimised_rotation(problem: Objective, start: Any, readout: Any) -> AlignedRotation:
+    """Run all outer iterations."""
+    *_, state = outer_iterations(problem, start, readout)
+    return finished(problem, state, readout)
 
 
 @pytest.mark.parametrize(

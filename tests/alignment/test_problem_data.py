@@ -18,7 +18,7 @@ def test_sampled_factors_are_the_same_distances(middle: PreparedPair, samples: i
     """Made orthonormal at the samples, the factors still give the distances there, to about a percent."""
     shape = middle.source
     options = MIDDLE.replace({"alignment.samples": samples, "alignment.weights": weights}).alignment
-    found = sampled_factors(shape, options, 100)
+    found = sampled_factors(shape, options)
     assert found.weights.sum() == pytest.approx(1.0)
     assert found.vertices.size == (samples or shape.mesh.n_vertices)
     identity = np.eye(found.left.shape[1])
@@ -34,7 +34,7 @@ def test_all_vertices_are_taken_where_the_geodesic_samples_are_all() -> None:
     """Whatever number of samples was asked for."""
     options = MIDDLE.replace({"geodesics.search_samples": 500, "alignment.samples": 50})
     shape = prepare(mesh_from_arrays(*tiny_pair().source), options)
-    found = sampled_factors(shape, options.alignment, 100)
+    found = sampled_factors(shape, options.alignment)
     np.testing.assert_array_equal(found.vertices, np.arange(shape.mesh.n_vertices))
     np.testing.assert_array_equal(found.weights, shape.mass)
 
@@ -42,7 +42,7 @@ def test_all_vertices_are_taken_where_the_geodesic_samples_are_all() -> None:
 def test_samples_spread_over_the_surface(middle: PreparedPair) -> None:
     """They are farthest-point samples, so that numbering does not matter, weighted by the area they stand for."""
     shape = middle.source
-    found = sampled_factors(shape, MIDDLE.replace({"alignment.samples": 50}).alignment, 100)
+    found = sampled_factors(shape, MIDDLE.replace({"alignment.samples": 50}).alignment)
     np.testing.assert_array_equal(found.vertices, shape.geodesics.samples[:50])
     gaps = all_pairs(shape.mesh)[found.vertices].min(axis=0)
     # Fifty discs of this radius would cover the unit area twice.

@@ -26,7 +26,7 @@ def backend() -> Reference:
 
 def all_vertices(shape: Shape) -> Samples:
     count = shape.mesh.n_vertices
-    return Samples(np.arange(count), shape.mass, np.zeros(count, dtype=np.int64))
+    return Samples(np.arange(count), shape.mass)
 
 
 def bound(spectrum: Spectrum, samples: Samples, shape: Shape, backend: Reference) -> SampledBasis:
@@ -49,7 +49,7 @@ def test_with_all_vertices_the_functional_map_is_that_of_the_full_step(
 
 def test_functions_that_live_between_the_samples_leave_a_finite_map(middle: PreparedPair, backend: Reference) -> None:
     """More functions than samples: the sums over samples cannot tell them apart."""
-    x, y = (bound(shape.basis, shape.samples(20, 5), shape, backend) for shape in middle[:2])
+    x, y = (bound(shape.basis, shape.samples(20), shape, backend) for shape in middle[:2])
     few = [dataclasses.replace(basis.samples, vertices=basis.samples.vertices[:12]) for basis in (x, y)]
     x, y = (
         bound(shape.basis, dataclasses.replace(samples, weights=samples.weights[:12]), shape, backend)
@@ -61,7 +61,7 @@ def test_functions_that_live_between_the_samples_leave_a_finite_map(middle: Prep
 
 
 def test_a_shape_is_matched_with_itself(middle: PreparedPair, backend: Reference) -> None:
-    basis = bound(middle.source.basis, middle.source.samples(100, 10), middle.source, backend)
+    basis = bound(middle.source.basis, middle.source.samples(100), middle.source, backend)
     maps = nearest_samples(basis, basis, (np.eye(40), np.eye(40)), None, backend)
     np.testing.assert_array_equal(maps.target_of_source, basis.samples.vertices)
     np.testing.assert_array_equal(maps.source_of_target, basis.samples.vertices)
@@ -69,7 +69,7 @@ def test_a_shape_is_matched_with_itself(middle: PreparedPair, backend: Reference
 
 def test_steps_repair_disturbed_maps(middle: PreparedPair, backend: Reference, rng: np.random.Generator) -> None:
     source, target, _ = middle
-    x, y = (bound(shape.scale_invariant, shape.samples(1000, 100), shape, backend) for shape in (source, target))
+    x, y = (bound(shape.scale_invariant, shape.samples(1000), shape, backend) for shape in (source, target))
     truth = true_maps(middle, x.samples, y.samples)
     lost = rng.random(truth.target_of_source.size) < 0.3
     disturbed = dataclasses.replace(

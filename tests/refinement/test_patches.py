@@ -11,7 +11,7 @@ from clalign.engine import Reference
 from clalign.geometry.geodesics import all_pairs
 from clalign.maps.point_maps import PointMaps
 from clalign.maps.sampling import SampledBasis
-from clalign.refinement.patches import best_patches, embedding_residuals, patchwise_maps
+from clalign.refinement.patches import Patches, best_patches, embedding_residuals, patchwise_maps
 from clalign.rules import RefinementRules
 
 RULES = RefinementRules()
@@ -26,41 +26,44 @@ def backend() -> Reference:
 @pytest.fixture
 def bases(middle: PreparedPair, backend: Reference) -> tuple[SampledBasis, SampledBasis]:
     source, target = (
-        SampledBasis.of(shape.scale_invariant, shape.samples(1000, PATCHES), shape.order, backend)
-        for shape in middle[:2]
+        SampledBasis.of(shape.scale_invariant, shape.samples(1000), shape.order, backend) for shape in middle[:2]
     )
     return source, target
 
 
-def wrong_in(
-    maps: PointMaps, bases: tuple[SampledBasis, SampledBasis], patches: NDArray[np.int64], rng: np.random.Generator
-) -> PointMaps:
+@pytest.fixture
+def patches(middle: PreparedPair, bases: tuple[SampledBasis, SampledBasis]) -> Patches:
+    x, y = (shape.patches(each.samples.vertices, PATCHES) for shape, each in zip(middle[:2], bases, strict=True))
+    return x, y
+
+
+def wrong_in(maps: PointMaps, patches: Patches, some: NDArray[np.int64], rng: np.random.Generator) -> PointMaps:
     """Exchange the matches inside some patches of both shapes at random."""
 
-    def exchanged(matches: NDArray[np.int64], basis: SampledBasis) -> NDArray[np.int64]:
+    def exchanged(matches: NDArray[np.int64], own: NDArray[np.int64]) -> NDArray[np.int64]:
         changed = matches.copy()
-        inside = np.flatnonzero(np.isin(basis.samples.patches, patches))
+        inside = np.flatnonzero(np.isin(own, some))
         changed[inside] = matches[rng.permutation(inside)]
         return changed
 
-    return PointMaps(exchanged(maps.target_of_source, bases[0]), exchanged(maps.source_of_target, bases[1]))
+    return PointMaps(exchanged(maps.target_of_source, patches[0]), exchanged(maps.source_of_target, patches[1]))
 
 
 def test_every_patch_comes_from_the_candidate_that_is_right_there(
-    middle: PreparedPair, bases: tuple[SampledBasis, SampledBasis], rng: np.random.Generator
+    middle: PreparedPair, bases: tuple[SampledBasis, SampledBasis], patches: Patches, rng: np.random.Generator
 ) -> None:
     truth = PointMaps(
         middle.truth.target_of_source[bases[0].samples.vertices],
         middle.truth.source_of_target[bases[1].samples.vertices],
     )
-    candidates = [wrong_in(truth, bases, np.array(patches), rng) for patches in ((0, 3, 4), (1, 2), (5, 6, 7))]
+    candidates = [wrong_in(truth, patches, np.array(some), rng) for some in ((0, 3, 4), (1, 2), (5, 6, 7))]
     assert all((maps.target_of_source != truth.target_of_source).mean() > 0.1 for maps in candidates)
-    best = best_patches(*bases, candidates, RULES)
+    best = best_patches(*bases, patches, candidates, RULES)
     np.testing.assert_array_equal(best.target_of_source, truth.target_of_source)
     np.testing.assert_array_equal(best.source_of_target, truth.source_of_target)
-    for maps, patches in zip(candidates, ((0, 3, 4), (1, 2), (5, 6, 7)), strict=True):
+    for maps, some in zip(candidates, ((0, 3, 4), (1, 2), (5, 6, 7)), strict=True):
         residual, _ = embedding_residuals(*bases, maps, RULES)
-        wrong = np.isin(bases[0].samples.patches, patches)
+        wrong = np.isin(patches[0], some)
         assert residual[wrong].mean() > 3.0 * residual[~wrong].mean()
 
 

@@ -84,7 +84,8 @@ def test_a_patch_that_is_turned_inside_out_is_seen_and_taken_from_another_map() 
     vertices, faces, mirror, inside = snout()
     shape = prepare(mesh_from_arrays(vertices, faces), MIDDLE)
     backend = Reference()
-    samples = shape.samples(250, 25)
+    samples = shape.samples(250)
+    patches = shape.patches(samples.vertices, 25)
     low, high = (SampledBasis.of(each, samples, shape.order, backend) for each in (shape.basis, shape.scale_invariant))
     orientations = Orientations(low, low, shape.orientation, shape.orientation, RULES)
     vertices_of_samples = low.samples.vertices
@@ -96,7 +97,7 @@ def test_a_patch_that_is_turned_inside_out_is_seen_and_taken_from_another_map() 
     assert np.mean(orientations.agreements(right)[0] > 0) > 0.95
     assert np.mean(orientations.agreements(wrong)[0][deep] < 0) > 0.9
     for candidates in ([right, wrong], [wrong, right]):
-        chosen = best_patches(high, high, candidates, RULES, orientations)
+        chosen = best_patches(high, high, (patches, patches), candidates, RULES, orientations)
         np.testing.assert_array_equal(chosen.target_of_source[deep], right.target_of_source[deep])
 
 
