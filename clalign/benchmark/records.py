@@ -93,8 +93,8 @@ def record_of(key: Key, evaluation: Evaluation, outcome: Outcome) -> Record:
 
 
 def failed_record(key: Key, reason: str) -> Record:
-    """Return the row of a pair without a map."""
-    return Record(*key, status="failed", message=reason)
+    """Return the row of a pair without a map; the reason becomes one line."""
+    return Record(*key, status="failed", message=" ".join(reason.split()))
 
 
 def append_record(folder: Path, record: Record, curves: dict[str, NDArray[np.float64]]) -> None:

@@ -97,10 +97,21 @@ class HeatProcess:
         if process.returncode:
             _report(process.returncode, surface.name)
             return None
-        found: Geodesics | MeshError = pickle.loads(answer)
+        found = _unpickled(answer)
         if isinstance(found, MeshError):
             raise found
         return found
+
+
+def _unpickled(answer: bytes) -> Geodesics | MeshError | None:
+    """Return what the interpreter has sent; None where that is no answer (cut short, or mixed with other output)."""
+    try:
+        found = pickle.loads(answer)
+    # What is no pickle makes pickle raise almost anything.
+    except Exception as error:
+        logger.info("no answer of the second interpreter (%s); distances are computed in this one", error)
+        return None
+    return found if isinstance(found, Geodesics | MeshError) else None
 
 
 def _report(status: int, name: str) -> None:

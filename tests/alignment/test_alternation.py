@@ -142,7 +142,7 @@ def test_without_optimisation_the_start_stays(bind_small: Callable[..., Bound], 
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("the device is gone")], ids=["Ctrl-C", "error"])
-@pytest.mark.parametrize("after", [9, 15])
+@pytest.mark.parametrize("after", [9, 14, 15])
 def test_the_best_point_is_handed_over_before_an_exception(
     bind_small: Callable[..., Bound], rng: np.random.Generator, error: BaseException, after: int
 ) -> None:
@@ -161,9 +161,18 @@ def test_the_best_point_is_handed_over_before_an_exception(
     np.testing.assert_array_equal(states[0].rotation, start)
     assert states[-1].candidate is not None
     assert [entry["total"] for entry in states[-1].history] == totals
+    last = [
+        entry["total"]
+        for entry in states[-1].history
+        if entry["outer_iteration"] == states[-1].history[-1]["outer_iteration"]
+    ]
+    best = problem.value_and_gradient(problem.pack(states[-1].candidate), states[-1].fixed).total
+    assert best == pytest.approx(min(last), rel=1e-12)
+    # The 14th evaluation overshoots: the best point is not the last one, but where the outer iteration started.
+    assert (last[-1] > min(last)) == (after == 14)
     kept = finished(problem, states[-1], "aligned")
     assert kept.losses["total"] < totals[0]
-    assert not np.array_equal(kept.rotation, states[-1].rotation)
+    assert np.array_equal(kept.rotation, states[-1].rotation) == (after == 14)
 
 
 def test_an_objective_that_is_never_finite_keeps_the_start(

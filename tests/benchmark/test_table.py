@@ -29,7 +29,7 @@ ROWS = [
     row("a b", 0.004),
     row("a c", 0.006),
     row("a d", 0.5, flipped=True),
-    failed_record(("suite", "a e", "ours", "s"), "no such mesh"),
+    failed_record(("suite", "a e", "ours", "s"), "no  such\nmesh"),
     row("a b", 0.01, method="pyFM", flipped=None),
 ]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,6 +11,7 @@ from numpy.typing import NDArray
 from clalign.engine import Backend, Reference
 from clalign.geometry.sampling import VertexOrder
 from clalign.maps import nearest
+from clalign.maps.inverted_file import nearest_in_cells
 from clalign.maps.nearest import nearest_rows, permuted, point_maps
 from clalign.maps.point_maps import PointMaps
 
@@ -49,14 +52,22 @@ def test_guesses_that_are_looked_for_change_nothing(
     np.testing.assert_array_equal(nearest_rows(queries, points, backend=any_backend), expected)
 
 
-def test_very_many_pairs_are_compared_among_cells_as_they_are_numbered(
+def test_very_many_pairs_are_compared_among_cells_and_few_rows_with_all(
     embedded: Sides, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    exhaustive, searched = nearest_rows(*embedded), []
+
+    def noted(*arguments: Any) -> NDArray[np.int64]:
+        searched.append(arguments)
+        return nearest_in_cells(*arguments)
+
+    monkeypatch.setattr(nearest, "nearest_in_cells", noted)
     monkeypatch.setattr(nearest, "EXHAUSTIVE", 1000)
-    few = nearest_rows(*embedded)
+    np.testing.assert_array_equal(nearest_rows(*embedded), exhaustive)
+    assert not searched
     monkeypatch.setattr(nearest, "FEW", 100)
     orders = VertexOrder.of(rng.permutation(700)), VertexOrder.of(rng.permutation(433))
     rows = (permuted(side, order) for side, order in zip(embedded, orders, strict=True))
     found = point_maps(*rows, orders)
-    # Among cells the nearest is missed for about one row in a thousand.
-    assert np.mean(found.target_of_source == few) > 0.99
+    assert len(searched) == 2
+    np.testing.assert_array_equal(found.target_of_source, exhaustive)
