@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 
 from clalign.errors import ClalignWarning, OptionError, ResultError
 from clalign.geometry.spectra import Spectrum
+from clalign.maps.file_maps import vertex_status
 from clalign.maps.point_maps import PointMaps, check_map, write_map
 from clalign.mesh.mesh import Mesh
+from clalign.mesh.stored import mesh_arrays, mesh_facts, stored_mesh
 from clalign.options import Options
 from clalign.storage.folders import atomic_folder, recover
 
@@ -36,7 +38,6 @@ BACKWARD_FILE = "source_of_target.txt"
 
 _ARRAYS = ("target_of_source", "source_of_target", "functional_map", "rotation", "distortion")
 _SCORES = ("score", "orientation", "distance")
-_MESH_ARRAYS = ("vertices", "faces", "offset", "file_index")
 _SPECTRA = ("source_basis", "target_basis", "source_scale_invariant", "target_scale_invariant")
 
 
@@ -62,7 +63,7 @@ class Correspondence:
     """Dense correspondence between a source mesh X and a target mesh Y.
 
     Maps are in the vertex numbering of the files; functions on vertices are in the compact order of the meshes
-    (`Mesh.file_index` translates, and the two agree unless a file has vertices outside its surface).
+    (`Mesh.file_index` and `Mesh.vertex_of_file` translate; both agree where a file is one clean surface).
 
     source, target : the meshes, scaled to unit area.
     target_of_source : (file_count_x,) int64, the target vertex of every source vertex; -1 off the surface.
@@ -159,6 +160,16 @@ class Correspondence:
         return getattr(self, now)
 
     @property
+    def source_status(self) -> NDArray[np.uint8]:
+        """(file_count_x,) how each source vertex came to its match: `VertexStatus`."""
+        return vertex_status(self.source, self.target_of_source)
+
+    @property
+    def target_status(self) -> NDArray[np.uint8]:
+        """(file_count_y,) how each target vertex came to its match: `VertexStatus`."""
+        return vertex_status(self.target, self.source_of_target)
+
+    @property
     def interrupted(self) -> bool:
         """Whether Ctrl-C cut the match short; `match` returns then, so a loop over many pairs should ask and end."""
         return self.status == "interrupted"
@@ -181,8 +192,8 @@ class Correspondence:
         """Return everything but the arrays as plain values: the content of ``result.json``."""
         return {
             "format": RESULT_FORMAT,
-            "source": _mesh_facts(self.source),
-            "target": _mesh_facts(self.target),
+            "source": mesh_facts(self.source),
+            "target": mesh_facts(self.target),
             "device": self.device,
             "confidence": finite_or_none(self.confidence),
             "orientation": finite_or_none(self.orientation),
@@ -271,23 +282,9 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def _mesh_facts(mesh: Mesh) -> dict[str, Any]:
-    return {
-        "name": mesh.name,
-        "path": mesh.path,
-        "vertices": mesh.n_vertices,
-        "faces": mesh.n_faces,
-        "file_vertices": mesh.file_count,
-        "scale": float(mesh.scale),
-        "notes": list(mesh.notes),
-    }
-
-
 def _arrays(result: Correspondence) -> Iterator[tuple[str, NDArray[Any]]]:
     for side in ("source", "target"):
-        mesh = getattr(result, side)
-        for name in _MESH_ARRAYS:
-            yield f"{side}.{name}", getattr(mesh, name)
+        yield from ((f"{side}.{name}", values) for name, values in mesh_arrays(getattr(result, side)).items())
     for name in _SPECTRA:
         spectrum = getattr(result, name)
         yield f"{name}.eigenvalues", spectrum.eigenvalues
@@ -343,8 +340,8 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     plain |= {name: _spectrum(name, arrays) for name in _SPECTRA}
     columns = ["outer_iteration" if name == "round" else str(name) for name in arrays["history.columns"]]
     return Correspondence(
-        source=_mesh("source", facts, arrays),
-        target=_mesh("target", facts, arrays),
+        source=stored_mesh(facts["source"], _within("source.", arrays)),
+        target=stored_mesh(facts["target"], _within("target.", arrays)),
         **plain,
         history=tuple(
             {name: float(value) for name, value in zip(columns, row, strict=True) if not np.isnan(value)}
@@ -376,19 +373,9 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     )
 
 
-def _mesh(side: str, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Mesh:
-    values = facts[side]
-    return Mesh(
-        vertices=arrays[f"{side}.vertices"],
-        faces=arrays[f"{side}.faces"],
-        offset=arrays[f"{side}.offset"],
-        file_index=arrays[f"{side}.file_index"],
-        scale=float(values["scale"]),
-        name=str(values["name"]),
-        path=values["path"],
-        file_count=int(values["file_vertices"]),
-        notes=tuple(values["notes"]),
-    )
+def _within(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the arrays whose names begin with a prefix, without it."""
+    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
 
 
 def _spectrum(name: str, arrays: Mapping[str, NDArray[Any]]) -> Spectrum:

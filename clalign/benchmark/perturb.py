@@ -39,12 +39,15 @@ def renumber(mesh: Mesh, seed: int = 0) -> Perturbed:
     new_compact = np.empty(mesh.n_vertices, dtype=np.int64)
     new_compact[order] = np.arange(mesh.n_vertices)
     faces = new_compact[mesh.faces[rng.permutation(mesh.n_faces)]]
+    # The last entry stands for no vertex, -1.
+    vertex_of_file = np.append(new_compact, -1)[mesh.vertex_of_file[np.argsort(new_of_old)]]
     turns = (np.arange(3)[None, :] + rng.integers(0, 3, mesh.n_faces)[:, None]) % 3
     changed = dataclasses.replace(
         mesh,
         vertices=mesh.vertices[order],
         faces=np.take_along_axis(faces, turns, axis=1).astype(np.int32),
         file_index=new_file_index[order],
+        vertex_of_file=vertex_of_file,
     )
     return Perturbed(changed, Truth(np.arange(mesh.file_count), new_of_old))
 

@@ -9,6 +9,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +37,7 @@ EVALUATION_FILE = "evaluation.json"
 
 _DESCRIPTION = """\
 Find for every vertex of SOURCE the corresponding vertex of TARGET, and the other way round. Meshes are OFF, PLY, OBJ
-or STL files of one connected surface each. The result folder gets both maps as text (line i: 0-based vertex of the
+or STL files of one body each. The result folder gets both maps as text (line i: 0-based vertex of the
 other file), result.npz, result.json, match.png and report.html (open it in a browser); it is written wholly or not at
 all.
 """
@@ -58,6 +59,12 @@ def add_match(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
     add_job_arguments(parser, Path("clalign-result"))
     parser.add_argument("--force", action="store_true", help="replace an earlier result in DIR")
     parser.add_argument(
+        "--component",
+        metavar="N[,N]",
+        help="the piece to match of a mesh with several, numbered from 1 for the largest as 'clalign check' lists "
+        "them: of both meshes, or of source and target; '-' for the one that stands out",
+    )
+    parser.add_argument(
         "--truth",
         metavar="FILE",
         nargs="+",
@@ -75,7 +82,39 @@ def run_match(args: argparse.Namespace) -> int:
     def truths(source: Mesh, target: Mesh) -> Truths | None:
         return (read_truth(args.truth, None, source, target), None) if args.truth else None
 
-    return _run(args.source, args.target, args, truths, force=args.force)
+    meshes = _Files(args.source, args.target, *chosen_components(args.component))
+    return _run(meshes, args, truths, force=args.force)
+
+
+def chosen_components(text: str | None) -> tuple[int | None, int | None]:
+    """Return the pieces of source and target that ``--component`` names; None where none is named.
+
+    Raises
+    ------
+    OptionError
+        The text is something else than one or two numbers from 1.
+    """
+    words = (text or "-").split(",")
+    if len(words) > 2 or not all(word == "-" or (word.isdecimal() and int(word) > 0) for word in words):
+        raise OptionError(f"--component {text}: expected one number from 1 for both meshes or two, such as 1,2 or -,2")
+    chosen = [None if word == "-" else int(word) for word in words]
+    return chosen[0], chosen[-1]
+
+
+@dataclass(frozen=True)
+class _Files:
+    """Two mesh files, and which piece of each is meant."""
+
+    source: Path
+    target: Path
+    source_component: int | None = None
+    target_component: int | None = None
+
+    def load(self, *, strict: bool) -> tuple[Mesh, Mesh]:
+        from clalign.mesh.mesh import load_mesh
+
+        source = load_mesh(self.source, strict=strict, component=self.source_component)
+        return source, load_mesh(self.target, strict=strict, component=self.target_component)
 
 
 def add_demo(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -92,7 +131,7 @@ def add_demo(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run_demo(args: argparse.Namespace) -> int:
     """Match the bundled pair."""
-    return _run(bundled_pair().source, bundled_pair().target, args, bundled_truths, force=True)
+    return _run(_Files(bundled_pair().source, bundled_pair().target), args, bundled_truths, force=True)
 
 
 def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> None:
@@ -118,6 +157,11 @@ def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> 
     )
     parser.add_argument(
         "--metric", metavar="NAME", help="'power' (default), 'regularized', 'euclidean', 'heat-kernel' or 'auto'"
+    )
+    parser.add_argument(
+        "--strict",
+        action="store_true",
+        help="refuse a mesh that is no clean surface instead of reading it as the one that was most likely meant",
     )
     parser.add_argument("--alternatives", metavar="N", type=int, help="keep the N best different maps too")
     parser.add_argument(
@@ -147,6 +191,7 @@ def options_from(args: argparse.Namespace) -> Options:
         "search.orientation": args.orientation,
         "search.alternatives": args.alternatives,
         "spectrum.metric": args.metric,
+        "surface.strict": True if args.strict else None,
     }
     changes = {name: value for name, value in named.items() if value is not None}
     return Options.preset(args.preset).replace({**changes, **option_changes(args)})
@@ -172,8 +217,7 @@ def option_changes(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _run(
-    source_path: Path,
-    target_path: Path,
+    files: _Files,
     args: argparse.Namespace,
     truths_of: Callable[[Mesh, Mesh], Truths | None],
     *,
@@ -187,10 +231,9 @@ def _run(
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
 
     from clalign.correspondence import FACTS_FILE
-    from clalign.mesh.mesh import load_mesh
 
     with missed_interrupts() as raise_missed:
-        source, target = load_mesh(source_path), load_mesh(target_path)
+        source, target = files.load(strict=options.surface.strict)
         truths = truths_of(source, target)
         device = _device(options)
         # Last, so that no mistake elsewhere comes to light only after --force was added.

@@ -33,6 +33,7 @@ from clalign.engine.backend import Backend
 from clalign.errors import ClalignError
 from clalign.geometry.cache import ShapeCache
 from clalign.geometry.shape import Shape, equally_smoothed, prepare
+from clalign.maps.file_maps import file_maps
 from clalign.maps.functional_maps import two_way_functional_map
 from clalign.maps.point_maps import PointMaps
 from clalign.matching.loop import Clock
@@ -40,7 +41,7 @@ from clalign.matching.pair import match_shapes
 from clalign.matching.result import local_distortion, versions
 from clalign.matching.stages import refined_maps, steps_before_alignment
 from clalign.matching.state import aligned_count
-from clalign.mesh.mesh import load_mesh
+from clalign.mesh.mesh import Mesh, load_mesh
 from clalign.options import Options
 from clalign.refinement.zoomout import BoundSpectra, two_way_steps
 from clalign.storage.files import claim_kernel_folder
@@ -112,9 +113,12 @@ class Session:
             while len(self._shapes) >= HELD_SHAPES:
                 self._shapes.popitem(last=False)
             self.loaded += 1
-            held = prepare(load_mesh(member.path), self.settings.options, self._cache)
+            held = prepare(self._mesh(member), self.settings.options, self._cache)
         self._shapes[member.digest] = held
         return held
+
+    def _mesh(self, member: Member) -> Mesh:
+        return load_mesh(member.path, strict=self.settings.options.surface.strict)
 
     def pair(self, source: Member, target: Member) -> tuple[Shape, Shape]:
         """Return two prepared shapes, both in the metric that the noisier one asks for."""
@@ -310,8 +314,7 @@ def derived_correspondence(
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
-        target_of_source=source.mesh.map_to_file(target.mesh, maps.target_of_source),
-        source_of_target=target.mesh.map_to_file(source.mesh, maps.source_of_target),
+        **vars(file_maps(source.mesh, target.mesh, maps)),
         functional_map=functional,
         rotation=start.rotation,
         source_basis=source.basis.head(max(len(functional), options.spectrum.basis)),

@@ -317,8 +317,8 @@ def _measured_points(
     off = np.flatnonzero((source.from_file(index) >= 0) & (target_of_source < 0))
     if off.size:
         raise ResultError(f"source vertex {source.file_index[off[0]]} is matched to a target vertex that is on no face")
-    ends = [source.vertex_of_file()[truth.source_points[lines]]]
-    ends += [target.vertex_of_file()[side.target_points[lines]] for side in (truth, mirrored) if side is not None]
+    ends = [source.vertex_of_file[truth.source_points[lines]]]
+    ends += [target.vertex_of_file[side.target_points[lines]] for side in (truth, mirrored) if side is not None]
     on_surface = np.logical_and.reduce([end >= 0 for end in ends])
     matched = on_surface & (target_of_source[ends[0]] >= 0)
     if not matched.any():

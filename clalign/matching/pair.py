@@ -34,8 +34,8 @@ def match(
 
     Parameters
     ----------
-    source, target : a path, a ``trimesh.Trimesh``, a pair ``(vertices, faces)``, or a loaded `Mesh`; one connected
-        manifold surface each.
+    source, target : a path, a ``trimesh.Trimesh``, a pair ``(vertices, faces)``, or a loaded `Mesh` (which
+        `load_mesh` makes of one of several pieces in a file).
     options : see `Options`; the default preset if None.
     progress : called as ``progress(stage, fraction, message)``, fraction in [0, 1] of the stage.
     cache : keeps what is computed of a single shape for later matches; None computes everything.
@@ -58,7 +58,10 @@ def match(
     chosen = Options() if options is None else options
     clock = Clock(progress)
     with clock.stage("read"):
-        meshes = as_mesh(source, "source"), as_mesh(target, "target")
+        meshes = (
+            as_mesh(source, "source", strict=chosen.surface.strict),
+            as_mesh(target, "target", strict=chosen.surface.strict),
+        )
     with clock.stage("device"):
         backend = open_backend(chosen.engine)
         device = backend.describe() if chosen.engine.backend == "opencl" else None

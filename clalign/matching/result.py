@@ -14,6 +14,7 @@ from clalign.correspondence import Alternative, Correspondence
 from clalign.engine.backend import Backend
 from clalign.errors import ClalignWarning, ConfidenceWarning
 from clalign.geometry.shape import Shape
+from clalign.maps.file_maps import file_maps
 from clalign.matching.state import MatchState, required
 from clalign.options import Options
 from clalign.rules import JudgementRules
@@ -38,8 +39,7 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
-        target_of_source=source.mesh.map_to_file(target.mesh, maps.target_of_source),
-        source_of_target=target.mesh.map_to_file(source.mesh, maps.source_of_target),
+        **vars(file_maps(source.mesh, target.mesh, maps)),
         functional_map=functional_map,
         rotation=aligned.rotation,
         source_basis=source.basis.head(size),
@@ -88,8 +88,7 @@ def _alternatives(state: MatchState) -> tuple[Alternative, ...]:
     source, target = state.source.mesh, state.target.mesh
     return tuple(
         Alternative(
-            source.map_to_file(target, maps.target_of_source),
-            target.map_to_file(source, maps.source_of_target),
+            **vars(file_maps(source, target, maps)),
             score=candidate.score,
             orientation=candidate.orientation,
             distance=candidate.distance,
