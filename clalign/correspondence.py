@@ -131,8 +131,7 @@ class Correspondence:
             check_map("target_of_source", maps.target_of_source, source.file_count, target.file_count)
             check_map("source_of_target", maps.source_of_target, target.file_count, source.file_count)
         for name, mesh in zip(_SPECTRA, (source, target, source, target), strict=True):
-            rows = len(getattr(self, name).functions)
-            if rows != mesh.n_vertices:
+            if (rows := len(getattr(self, name).functions)) != mesh.n_vertices:
                 raise ResultError(f"{name}: has {rows} rows, the mesh {mesh.name!r} has {mesh.n_vertices} vertices")
         if len(self.distortion) != source.n_vertices:
             raise ResultError(f"distortion: has {len(self.distortion)} values, not one a source vertex")
@@ -147,6 +146,12 @@ class Correspondence:
         """(n_y, d) those of the target turned towards the source's, Ψ̃Rᵀ; Ψ̃ as it is for a one-sided match (Eq. 18)."""
         functions = self.target_scale_invariant.functions[:, : len(self.rotation)]
         return functions if self.options.alignment.sides == "one" else functions @ self.rotation.T
+
+    @property
+    def barycentric(self) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
+        """`source_faces` and `source_barycentric`, or None without the sub-vertex read-out."""
+        faces, weights = self.source_faces, self.source_barycentric
+        return None if faces is None or weights is None else (faces, weights)
 
     def __getattr__(self, name: str) -> Any:
         if name not in ("source_descriptors", "target_descriptors"):
@@ -185,8 +190,7 @@ class Correspondence:
         """Show the match in a notebook."""
         import clalign
 
-        html: str = clalign.notebook_html(self)
-        return html
+        return str(clalign.notebook_html(self))
 
     def facts(self) -> dict[str, Any]:
         """Return everything but the arrays as plain values: the content of ``result.json``."""
@@ -296,13 +300,10 @@ def _arrays(result: Correspondence) -> Iterator[tuple[str, NDArray[Any]]]:
         yield f"alternatives.{number}.source_of_target", alternative.source_of_target
     columns = list(dict.fromkeys(name for entry in result.history for name in entry))
     yield "history.columns", np.array(columns, dtype=np.str_)
-    yield (
-        "history.values",
-        np.array([[entry.get(name, np.nan) for name in columns] for entry in result.history], dtype=np.float64),
-    )
-    if result.source_faces is not None and result.source_barycentric is not None:
-        yield "source_faces", result.source_faces
-        yield "source_barycentric", result.source_barycentric
+    values = [[entry.get(name, np.nan) for name in columns] for entry in result.history]
+    yield "history.values", np.array(values, dtype=np.float64)
+    if result.barycentric is not None:
+        yield from zip(("source_faces", "source_barycentric"), result.barycentric, strict=True)
 
 
 def _read_facts(folder: Path) -> dict[str, Any]:
@@ -313,8 +314,8 @@ def _read_facts(folder: Path) -> dict[str, Any]:
         raise ResultError(f"{folder}: is not a result folder of clalign, it has no {FACTS_FILE}") from error
     except (OSError, ValueError) as error:
         raise ResultError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(facts, dict) or facts.get("format") != RESULT_FORMAT:
-        found = facts.get("format") if isinstance(facts, dict) else None
+    found = facts.get("format") if isinstance(facts, dict) else None
+    if found != RESULT_FORMAT:
         raise ResultError(f"{path}: has format {found!r}, this version of clalign reads format {RESULT_FORMAT}")
     return facts
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from clalign.errors import InputError
 from clalign.evaluation.truth import Truth
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
-from clalign.mesh.topology import vertex_normals
+from clalign.mesh.topology import edge_table, vertex_normals
 
 NEIGHBOURS = 8
 
@@ -83,14 +83,12 @@ def scale(mesh: Mesh, factor: float) -> Perturbed:
 
 def subdivide(mesh: Mesh) -> Perturbed:
     """Split every face into four at the middles of its edges; the old vertices come first, in their old order."""
-    corners = mesh.faces.astype(np.int64)
-    sides = np.sort(np.stack([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]], axis=1), axis=2)
-    edges, edge_of_side = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
-    ab, bc, ca = (mesh.n_vertices + edge_of_side.reshape(-1, 3)).T
-    a, b, c = corners.T
+    table = edge_table(mesh.faces, mesh.n_vertices)
+    ab, bc, ca = mesh.n_vertices + table.edge_of_half_edge.reshape(3, -1)
+    a, b, c = mesh.faces.T.astype(np.int64)
     faces = np.concatenate([np.stack(face, axis=1) for face in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
     vertices = mesh.file_vertices()
-    vertices = np.concatenate([vertices, vertices[edges].mean(axis=1)])
+    vertices = np.concatenate([vertices, vertices[table.edges].mean(axis=1)])
     changed = mesh_from_arrays(vertices, faces, f"{mesh.name} (subdivided)")
     return Perturbed(changed, Truth(mesh.file_index, np.arange(mesh.n_vertices)))
 

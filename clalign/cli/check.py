@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from clalign.cli.terminal import Terminal, table
 from clalign.errors import MeshError, OptionError
 from clalign.options import Options
-from clalign.storage.files import size_text
+from clalign.storage.files import duration_text, size_text
 from clalign.storage.folders import atomic_files, check_files
 
 if TYPE_CHECKING:
@@ -250,13 +250,7 @@ def _cost(predicted: dict[str, Any]) -> str:
     available = predicted["available"]
     free = "" if available is None else f" of {size_text(available)} that are free"
     too_much = " (TOO MUCH)" if available is not None and predicted["memory"] > available else ""
-    return f"about {_duration(predicted['seconds'])}, {size_text(predicted['memory'])}{free}{too_much}"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{max(5 * round(seconds / 5), 5)} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+    return f"about {duration_text(predicted['seconds'])}, {size_text(predicted['memory'])}{free}{too_much}"
 
 
 def _little_left(repaired: dict[str, Any]) -> str:

@@ -20,6 +20,7 @@ from clalign.ctrl_c import plain_interrupts
 from clalign.data import bundled_pair
 from clalign.errors import ClalignWarning, OptionError
 from clalign.options import Options
+from clalign.presentation import PAGE_FILE, PICTURE_FILE
 from clalign.storage.folders import check_destination
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     Truths = tuple[Truth, Truth | None]
     """The true map, and that of the left-right confusion where it is known."""
 
-PICTURE_FILE = "match.png"
-REPORT_FILE = "report.html"
 EVALUATION_FILE = "evaluation.json"
 
 _DESCRIPTION = """\
@@ -57,6 +56,7 @@ def add_match(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("source", metavar="SOURCE", type=Path, help="mesh whose vertices are mapped")
     parser.add_argument("target", metavar="TARGET", type=Path, help="mesh that they are mapped to")
     add_job_arguments(parser, Path("clalign-result"))
+    _add_file_arguments(parser)
     parser.add_argument("--force", action="store_true", help="replace an earlier result in DIR")
     parser.add_argument(
         "--component",
@@ -126,6 +126,7 @@ def add_demo(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "with its mirror image. An earlier result of the demo in DIR is replaced.",
     )
     add_job_arguments(parser, Path("clalign-demo"))
+    _add_file_arguments(parser)
     parser.set_defaults(run=run_demo)
 
 
@@ -135,7 +136,7 @@ def run_demo(args: argparse.Namespace) -> int:
 
 
 def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> None:
-    """Add the arguments that every command has which matches one pair."""
+    """Add the arguments that every command has which matches: where to, how, and what it shows."""
     parser.add_argument(
         "--out", metavar="DIR", type=Path, default=default_folder, help="result folder (default: %(default)s)"
     )
@@ -172,11 +173,15 @@ def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> 
         dest="changes",
         help="change any single option; may be repeated; 'clalign options' lists all of them",
     )
-    parser.add_argument("--no-cache", action="store_true", help="compute everything anew and store nothing for later")
-    parser.add_argument("--no-picture", action="store_true", help="do not draw match.png")
-    parser.add_argument("--no-report", action="store_true", help="do not write report.html")
     parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON document")
+
+
+def _add_file_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what says which files one match reads and writes beside its result."""
+    parser.add_argument("--no-cache", action="store_true", help="compute everything anew and store nothing for later")
+    parser.add_argument("--no-picture", action="store_true", help=f"do not draw {PICTURE_FILE}")
+    parser.add_argument("--no-report", action="store_true", help=f"do not write {PAGE_FILE}")
 
 
 def options_from(args: argparse.Namespace) -> Options:
@@ -303,7 +308,7 @@ def _extra_files(
         if not args.no_picture:
             _drawn(partial(save_match_picture, result), folder / PICTURE_FILE, terminal)
         if not args.no_report:
-            _drawn(partial(write_report, result, evaluation=evaluation), folder / REPORT_FILE, terminal)
+            _drawn(partial(write_report, result, evaluation=evaluation), folder / PAGE_FILE, terminal)
 
     return write
 
@@ -335,7 +340,7 @@ def _show_summary(result: Correspondence, evaluation: Evaluation | None, folder:
         rows.append(("error", f"mean {mean:.3f}, median {median:.3f} {measured}"))
         if evaluation.mirrored_mean is not None:
             rows.append(("mirrored", f"mean {100 * evaluation.mirrored_mean:.3f} to the mirror image of the truth"))
-    page = f", open {folder / REPORT_FILE} in a browser" if (folder / REPORT_FILE).is_file() else ""
+    page = f", open {folder / PAGE_FILE} in a browser" if (folder / PAGE_FILE).is_file() else ""
     rows.append(("result", f"{folder}{page}"))
     for line in table(rows, indent=""):
         terminal.say(line)

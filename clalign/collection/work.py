@@ -26,7 +26,7 @@ from threadpoolctl import threadpool_limits
 from clalign.alignment.band import funnel_band
 from clalign.alignment.rotation import least_squares_start
 from clalign.collection.members import Member
-from clalign.collection.store import RESULT_FOLDER, Kind, PairMaps, PairRow, ShapeRow, Store, Subfolder, pair_key
+from clalign.collection.store import RESULT_FOLDER, Kind, PairMaps, PairRow, ShapeRow, Store, pair_key, subfolder_of
 from clalign.correspondence import Correspondence, finite_or_none
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
@@ -38,7 +38,7 @@ from clalign.maps.functional_maps import two_way_functional_map
 from clalign.maps.point_maps import PointMaps
 from clalign.matching.loop import Clock
 from clalign.matching.pair import match_shapes
-from clalign.matching.result import local_distortion, versions
+from clalign.matching.result import local_distortion, mesh_notes, versions
 from clalign.matching.stages import refined_maps, steps_before_alignment
 from clalign.matching.state import aligned_count
 from clalign.mesh.mesh import Mesh, load_mesh
@@ -209,7 +209,7 @@ def derive_members(
 def _finished_pair(
     source: Member, target: Member, kind: Kind, key: str, work: Callable[[], Correspondence], settings: Settings
 ) -> PairRow:
-    subfolder: Subfolder = "pairs" if kind == "direct" else "consistent"
+    subfolder = subfolder_of(kind)
     started = time.perf_counter()
     try:
         done = settings.store.finished(subfolder, source.name, target.name, key)
@@ -294,11 +294,10 @@ def derived_correspondence(
 
     Parameters
     ----------
-    source, target : prepared with the same options.
+    source, target : prepared with the same options, in one metric (`equally_smoothed`).
     functional : (L, L) orthogonal, from coefficients in the first LBO functions of the source to those of the target.
     """
     clock = Clock()
-    source, target = equally_smoothed(source, target, options.spectrum)
     with clock.stage("refinement"):
         maps = refined_maps(source, target, functional, options, backend)
     count = aligned_count(source, target, options)
@@ -328,7 +327,7 @@ def derived_correspondence(
         distortion=local_distortion(source, target, maps.target_of_source),
         alternatives=(),
         timings=clock.seconds,
-        warnings=tuple(f"{mesh.name}: {note}" for mesh in (source.mesh, target.mesh) for note in mesh.notes),
+        warnings=mesh_notes(source.mesh, target.mesh),
         device=backend.name,
         options=options,
         versions=versions(),

@@ -45,6 +45,11 @@ class Truth:
         return int(self.source_points.size)
 
     @staticmethod
+    def unknown() -> Truth:
+        """Truth without a line."""
+        return Truth.identity(0)
+
+    @staticmethod
     def identity(count: int) -> Truth:
         """Vertex i ↔ vertex i, for two meshes of one connectivity with `count` vertices each."""
         return Truth(np.arange(count), np.arange(count))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from clalign.engine.backend import Backend
 from clalign.geometry.cache import ShapeCache
 from clalign.geometry.shape import Shape, prepare_pair
 from clalign.geometry.workers import single_threaded_blas
-from clalign.matching.loop import Clock, run_stages
+from clalign.matching.loop import Clock, Progress, run_stages
 from clalign.matching.result import correspondence, warn_of_doubts
 from clalign.matching.state import MatchState
 from clalign.mesh.mesh import as_mesh
@@ -27,7 +26,7 @@ def match(
     target: Any,
     options: Options | None = None,
     *,
-    progress: Callable[[str, float, str], None] | None = None,
+    progress: Progress | None = None,
     cache: ShapeCache | None = None,
 ) -> Correspondence:
     """Find for every vertex of each mesh its match on the other one.

@@ -16,6 +16,7 @@ from clalign.errors import ClalignWarning, ConfidenceWarning
 from clalign.geometry.shape import Shape
 from clalign.maps.file_maps import file_maps
 from clalign.matching.state import MatchState, required
+from clalign.mesh.mesh import Mesh
 from clalign.options import Options
 from clalign.rules import JudgementRules
 
@@ -105,7 +106,12 @@ def _remarks(state: MatchState, options: Options) -> list[str]:
     elif state.found is not None and count < options.search.alternatives:
         found = f"only {count} different map{' was' if count == 1 else 's were'}"
         remarks.append(f"{found if count else 'no different map was'} found ({options.search.alternatives} asked for)")
-    return remarks + [f"{mesh.name}: {note}" for mesh in (state.source.mesh, state.target.mesh) for note in mesh.notes]
+    return [*remarks, *mesh_notes(state.source.mesh, state.target.mesh)]
+
+
+def mesh_notes(*meshes: Mesh) -> tuple[str, ...]:
+    """Return what is to be said of each mesh, with its name."""
+    return tuple(f"{mesh.name}: {note}" for mesh in meshes for note in mesh.notes)
 
 
 def _failures(state: MatchState) -> list[str]:

@@ -15,11 +15,6 @@ from clalign.mesh.mesh import load_mesh
 from clalign.mesh.reading import read_mesh_file
 
 
-@pytest.fixture(scope="module")
-def collection(tmp_path_factory: pytest.TempPathFactory) -> dict[str, malformed.MalformedFile]:
-    return {case.name: case for case in malformed.write_collection(tmp_path_factory.mktemp("malformed"))}
-
-
 def test_every_verdict_is_that_of_loading(collection: dict[str, malformed.MalformedFile], run: Run) -> None:
     shown = run("check", *(case.path for case in collection.values()), "--json")
     assert (shown.status, shown.err) == (2, "")

@@ -13,7 +13,7 @@ import shapes
 from malformed import Malformed
 
 from clalign.errors import MeshError
-from clalign.mesh import topology as topology
+from clalign.mesh import topology
 from clalign.mesh.checks import diagnose
 from clalign.mesh.defects import Severity
 from clalign.mesh.mesh import load_mesh, mesh_from_arrays

@@ -16,13 +16,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from clalign.errors import MeshError
-from clalign.mesh import topology as topology
+from clalign.mesh import topology
 from clalign.mesh.checks import diagnose
 from clalign.mesh.mesh import Mesh, load_mesh, mesh_from_arrays
 from clalign.mesh.repair import repair
 
 CONTENT = {name: write(shapes.bumpy_sphere(1)) for name, write in malformed.WRITERS.items()}
-# More examples, new ones on every run: CLALIGN_FUZZ_EXAMPLES=1500 pytest tests/geometry/test_mesh_fuzz.py
+# More examples, new ones on every run: CLALIGN_FUZZ_EXAMPLES=1500 pytest tests/mesh/test_mesh_fuzz.py
 EXAMPLES = os.environ.get("CLALIGN_FUZZ_EXAMPLES")
 BOUNDED = settings(
     max_examples=int(EXAMPLES or 80),
