@@ -18,6 +18,7 @@ from clalign.option_values import flattened, leaves, replaced, translated, type_
 from clalign.rules import Rules
 
 Metric = Literal["euclidean", "regularized", "power", "heat-kernel", "auto"]
+Laplacian = Literal["cotangent", "intrinsic"]
 Weights = Literal["area", "uniform"]
 Band = Literal["half", "full", "diagonal", "none"]
 Orientation = Literal["preserving", "reversing", "any"]
@@ -105,6 +106,9 @@ class SpectrumOptions:
         smooths every mesh. Sampled surfaces without noise are above 0.3; one whose flat faces were split is near 0.
     clamp : |K| is clamped to its [clamp, 1 - clamp] quantiles before the power, in [0, 0.5).
     epsilon : constant of "regularized", in units of 1/area.
+    laplacian : "cotangent" on the triangles as they are, or "intrinsic" on the intrinsic Delaunay triangulation of the
+        same surface, which bears needles and obtuse triangles better (Sharp & Crane 2020). Angle defects and triple
+        products are those of the triangles as they are with either.
     """
 
     basis: int = 120
@@ -116,6 +120,7 @@ class SpectrumOptions:
     noisy_below: float = 0.3
     clamp: float = 0.02
     epsilon: float = 1.0
+    laplacian: Laplacian = "cotangent"
 
     def __post_init__(self) -> None:
         _check_choices("spectrum", self)

@@ -56,7 +56,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--distances",
         metavar="METHOD",
         default="heat",
-        help="'heat' (default), or 'bounded': never below the straight distance",
+        help="'heat' (default), 'bounded': never below the straight distance, or 'marching': fast marching",
     )
     parser.add_argument(
         "--csv", metavar="FILE", type=Path, help="write the error of every measured point; an existing FILE is replaced"

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from clalign.geometry.heat import Geodesics, HeatMethod, Surface, farthest_points
+from clalign.geometry.heat import Geodesics, Surface, distance_solver, farthest_points
 from clalign.geometry.operators import lumped_mass
 from clalign.mesh.mesh import Mesh
 
@@ -37,7 +37,7 @@ class DistanceFactors:
 
 
 def farthest_point_geodesics(
-    mesh: Mesh, search_samples: int, factor_samples: int, sampler: Sampler = farthest_points
+    mesh: Mesh, search_samples: int, factor_samples: int, sampler: Sampler = farthest_points, *, time: float = 1.0
 ) -> Geodesics:
     """Return the distances from farthest-point samples of a mesh (see `heat.farthest_points`).
 
@@ -49,6 +49,7 @@ def farthest_point_geodesics(
     search_samples : S, samples whose mutual distances are kept.
     factor_samples : N, samples whose full rows are kept (at most S).
     sampler : `heat.farthest_points`, or what does the same elsewhere.
+    time : see `heat.diffusion_time`.
 
     Raises
     ------
@@ -59,7 +60,8 @@ def farthest_point_geodesics(
     count = affordable_samples(n, search_samples, factor_samples)
     if count < min(search_samples, n):
         logger.info("%s: %d geodesic samples instead of %d (%d vertices)", mesh.name, count, search_samples, n)
-    surface = Surface(mesh.vertices, mesh.faces, lumped_mass(mesh.vertices, mesh.faces), mesh.name)
+    mass = lumped_mass(mesh.vertices, mesh.faces)
+    surface = Surface(mesh.vertices, mesh.faces, mass, mesh.name, time)
     return sampler(surface, count, min(factor_samples, count))
 
 
@@ -90,6 +92,6 @@ def low_rank(geodesics: Geodesics, mass: NDArray[np.float64], rank: int | None =
 
 def all_pairs(mesh: Mesh) -> NDArray[np.float64]:
     """Return the (n, n) distances between all vertices, symmetric with zero diagonal. For small meshes."""
-    heat = HeatMethod(mesh.vertices, mesh.faces, mesh.name)
-    distances = np.stack([heat.row(vertex) for vertex in range(mesh.n_vertices)])
+    solver = distance_solver(mesh.vertices, mesh.faces, mesh.name)
+    distances = np.stack([solver.row(vertex) for vertex in range(mesh.n_vertices)])
     return 0.5 * (distances + distances.T)

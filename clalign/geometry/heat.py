@@ -1,30 +1,43 @@
-"""The heat method, and the farthest-point samples that are drawn with it.
+"""Geodesic distances from single vertices, and the farthest-point samples that are drawn with them.
 
 It is imported by the interpreter of `heat_process` too, which starts the sooner the less is imported here.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import pickle
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.errors import MeshError
 
+#: Square roots of the diffusion time that fit into the diameter: heat farther away than some 380 of them underflows,
+#: and the distances there would all be the same. On bodies of 7,000 to 110,000 vertices the mean error is 1 % so.
+REACH = 150.0
+#: Mean edges along the diameter from which on fronts are marched instead: the heat method is 3 % wrong on a body of
+#: 440,000 vertices and 10 % on a tube of 1,500 sections, whatever the time.
+MARCHED = 600.0
+
 
 @dataclass(frozen=True)
 class Surface:
-    """What sampling reads of a mesh: vertices (n, 3), faces (m, 3), vertex areas (n,), name for messages."""
+    """What sampling reads of a mesh: vertices (n, 3), faces (m, 3), vertex areas (n,), name for messages.
+
+    time : diffusion time in squared mean edges, infinite where fronts are to be marched; see `diffusion_time`.
+    """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
     mass: NDArray[np.float64]
     name: str
+    time: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -58,8 +71,33 @@ def prefix_shares(distances: NDArray[np.float64], weights: NDArray[np.float64], 
     return np.bincount(nearest, weights=weights, minlength=count).astype(np.float64)
 
 
+def diffusion_time(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> float:
+    """Return the time that heat needs to reach all of a surface, in squared mean edges and at least 1.
+
+    A time of one squared mean edge gives the best distances nearby (Crane, Weischedel & Wardetzky 2013), but its heat
+    underflows on fine or long meshes. The diameter is that of the graph of edges, found by two sweeps; beyond `MARCHED`
+    edges the time is infinite.
+    """
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    n = len(vertices)
+    tail, head = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
+    keys = np.unique(np.minimum(tail, head) * n + np.maximum(tail, head))
+    low, high = keys // n, keys % n
+    length = np.linalg.norm(vertices[low] - vertices[high], axis=1)
+    # An explicit zero would be no edge.
+    graph = csr_matrix((np.maximum(length, np.finfo(np.float64).tiny), (low, high)), shape=(n, n))
+    far = int(dijkstra(graph, directed=False, indices=0).argmax())
+    diameter = float(dijkstra(graph, directed=False, indices=far).max())
+    across = diameter / float(length.mean())
+    return math.inf if across > MARCHED else max(1.0, (across / REACH) ** 2)
+
+
 class HeatMethod:
     """Distances from single vertices by the heat method, factorised once; `name` is for messages.
+
+    time : diffusion time in squared mean edges.
 
     Raises
     ------
@@ -67,23 +105,56 @@ class HeatMethod:
         The mesh cannot be handled (not manifold, for example).
     """
 
-    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str) -> None:
+    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str, time: float = 1.0) -> None:
         import potpourri3d
 
         try:
-            self._solver = potpourri3d.MeshHeatMethodDistanceSolver(vertices, faces)
+            self._solver = potpourri3d.MeshHeatMethodDistanceSolver(vertices, faces, t_coef=time)
         except RuntimeError as error:
             raise MeshError(f"{name}: geodesic distances cannot be computed ({error})") from error
         self._name = name
 
     def row(self, vertex: int) -> NDArray[np.float64]:
         """Return the (n,) distances from one vertex; zero there and nowhere negative."""
-        distances: NDArray[np.float64] = np.asarray(self._solver.compute_distance(int(vertex)), dtype=np.float64)
-        np.maximum(distances, 0.0, out=distances)
-        distances[vertex] = 0.0
-        if not np.isfinite(distances).all():
-            raise MeshError(f"{self._name}: distances from vertex {vertex} are not finite; look for degenerate faces")
-        return distances
+        return _checked_row(self._solver.compute_distance(int(vertex)), vertex, self._name)
+
+
+class FastMarching:
+    """Distances from single vertices by fast marching (Kimmel & Sethian 1998); see `HeatMethod`.
+
+    It takes one and a half times as long a row or more, and is right at any size: 0.7 % on a body of 7,000 vertices,
+    0.1 % at 110,000.
+    """
+
+    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str) -> None:
+        import potpourri3d
+
+        try:
+            self._solver = potpourri3d.MeshFastMarchingDistanceSolver(vertices, faces)
+        except RuntimeError as error:
+            raise MeshError(f"{name}: geodesic distances cannot be computed ({error})") from error
+        self._name = name
+
+    def row(self, vertex: int) -> NDArray[np.float64]:
+        """Return the (n,) distances from one vertex; zero there and nowhere negative."""
+        return _checked_row(self._solver.compute_distance([[(int(vertex), [])]]), vertex, self._name)
+
+
+def _checked_row(values: Any, vertex: int, name: str) -> NDArray[np.float64]:
+    distances: NDArray[np.float64] = np.asarray(values, dtype=np.float64)
+    np.maximum(distances, 0.0, out=distances)
+    distances[vertex] = 0.0
+    if not np.isfinite(distances).all():
+        raise MeshError(f"{name}: distances from vertex {vertex} are not finite; look for degenerate faces")
+    return distances
+
+
+def distance_solver(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str, time: float | None = None
+) -> HeatMethod | FastMarching:
+    """Return what measures distances on a surface; `time` is its `diffusion_time`, found if None."""
+    known = diffusion_time(vertices, faces) if time is None else time
+    return FastMarching(vertices, faces, name) if math.isinf(known) else HeatMethod(vertices, faces, name, known)
 
 
 def farthest_points(surface: Surface, count: int, kept: int, watch: Callable[[], None] = lambda: None) -> Geodesics:
@@ -102,21 +173,21 @@ def farthest_points(surface: Surface, count: int, kept: int, watch: Callable[[],
     Raises
     ------
     MeshError
-        The heat method fails on the mesh.
+        Distances cannot be computed on the mesh.
     """
     n = len(surface.vertices)
-    heat = HeatMethod(surface.vertices, surface.faces, surface.name)
+    solver = distance_solver(surface.vertices, surface.faces, surface.name, surface.time)
     samples = np.zeros(count, dtype=np.int64)
     rows = np.zeros((count, n), dtype=np.float32)
     gap = np.full(n, np.inf, dtype=np.float32)
     owner = np.zeros(n, dtype=np.int64)
     centre = surface.mass @ surface.vertices / surface.mass.sum()
     central = np.square(surface.vertices - centre).sum(axis=1).argmin()
-    following = int(heat.row(int(central)).argmax())
+    following = int(solver.row(int(central)).argmax())
     for index in range(count):
         watch()
         samples[index] = following
-        rows[index] = heat.row(following)
+        rows[index] = solver.row(following)
         closer = rows[index] < gap
         gap[closer] = rows[index, closer]
         owner[closer] = index
@@ -125,7 +196,7 @@ def farthest_points(surface: Surface, count: int, kept: int, watch: Callable[[],
         owner[following] = index
         following = int(gap.argmax())
     # The factors and the rows beyond the first are the largest arrays, and what comes of them is to be sent away.
-    del heat
+    del solver
     between = rows[:, samples].astype(np.float64)
     if kept < count:
         rows = rows[:kept].copy()

@@ -53,6 +53,30 @@ def stiffness(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> sparse
     return sparse.csr_matrix((matrix + matrix.T) * 0.5)
 
 
+def intrinsic_operators(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32]
+) -> tuple[sparse.csr_matrix, NDArray[np.float64]]:
+    """Return the stiffness (n, n) and the lumped mass (n,) of the intrinsic Delaunay triangulation of a surface.
+
+    Edges are flipped along the surface until none of its cotangent weights is negative; triangles that are no triangles
+    in floating point are mollified (Sharp & Crane 2020, "A Laplacian for nonmanifold triangle meshes").
+
+    Raises
+    ------
+    InputError
+        The package robust-laplacian is not installed.
+    """
+    try:
+        import robust_laplacian
+    except ImportError as error:
+        raise InputError(
+            "spectrum.laplacian=intrinsic needs the package robust-laplacian: pip install 'clalign[robust]'"
+        ) from error
+    matrix, mass = robust_laplacian.mesh_laplacian(vertices, faces.astype(np.int64))
+    diagonal = np.asarray(mass.diagonal(), dtype=np.float64)
+    return sparse.csr_matrix((matrix + matrix.T) * 0.5), np.maximum(diagonal, SMALLEST_MASS * diagonal.mean())
+
+
 def lumped_mass(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return the (n,) vertex areas, a third of the faces around each vertex: positive, summing to the surface area."""
     mass = vertex_areas(vertices, faces)

@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from clalign.geometry.cache import ShapeCache, content_key
 from clalign.geometry.geodesics import DistanceFactors, farthest_point_geodesics, low_rank
-from clalign.geometry.heat import Geodesics
+from clalign.geometry.heat import Geodesics, diffusion_time
 from clalign.geometry.heat_process import HeatProcess
 from clalign.geometry.operators import (
     conformal_factor,
     defect_correlation,
     diffused,
     gaussian_curvature,
+    intrinsic_operators,
     lumped_mass,
     mean_curvature,
     orientation_tensor,
@@ -182,17 +183,24 @@ def equally_smoothed(
 def _spectra(
     mesh: Mesh, options: SpectrumOptions, cache: ShapeCache | None
 ) -> tuple[_Operators, float, Spectrum, Spectrum]:
-    mass = lumped_mass(mesh.vertices, mesh.faces)
-    curvature = gaussian_curvature(mesh.vertices, mesh.faces, mass)
-    operators = _Operators(stiffness(mesh.vertices, mesh.faces), mass, curvature)
+    if options.laplacian == "intrinsic":
+        weights, mass = intrinsic_operators(mesh.vertices, mesh.faces)
+    else:
+        weights, mass = stiffness(mesh.vertices, mesh.faces), lumped_mass(mesh.vertices, mesh.faces)
+    operators = _Operators(weights, mass, gaussian_curvature(mesh.vertices, mesh.faces, mass))
     count = max(options.basis, options.refinement)
 
     def compute() -> Spectrum:
         return solve(operators.stiffness, mass, count, processor_count())
 
-    basis = _stored(cache, "basis", mesh, {"count": count}, Spectrum, compute)
+    basis = _stored(cache, "basis", mesh, {"count": count, **_laplacian(options)}, Spectrum, compute)
     smoothing = _smoothing(mesh, operators, options)
     return operators, smoothing, basis, _scale_invariant(mesh, operators, basis, options, smoothing, cache)
+
+
+def _laplacian(options: SpectrumOptions) -> dict[str, str]:
+    """Return what names the operator in the cache: nothing for the one that was always there."""
+    return {} if options.laplacian == "cotangent" else {"laplacian": options.laplacian}
 
 
 def _smoothing(mesh: Mesh, operators: _Operators, options: SpectrumOptions) -> float:
@@ -219,14 +227,20 @@ def _scale_invariant(
 
     names = ("scale_invariant", "metric", "xi", "clamp", "epsilon")
     values = {name: getattr(options, name) for name in names} | {"basis": basis.count, "smoothing": smoothing}
+    values |= _laplacian(options)
     return _stored(cache, "scale_invariant", mesh, values, Spectrum, compute)
 
 
 def _distances(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
-    values = {"search": options.search_samples, "factor": options.factor_samples}
+    counts = options.search_samples, options.factor_samples
+    values: dict[str, float] = dict(zip(("search", "factor"), counts, strict=True))
+    time = diffusion_time(mesh.vertices, mesh.faces)
+    if time > 1:
+        # Distances of a version that knew one time only are not taken for these.
+        values["time"] = time
 
     def compute() -> Geodesics:
-        return farthest_point_geodesics(mesh, options.search_samples, options.factor_samples, heat.farthest_points)
+        return farthest_point_geodesics(mesh, *counts, heat.farthest_points, time=time)
 
     return _stored(cache, "geodesics", mesh, values, Geodesics, compute)
 

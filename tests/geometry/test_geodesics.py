@@ -12,9 +12,9 @@ import shapes
 from numpy.typing import NDArray
 
 from clalign.errors import MeshError
-from clalign.geometry import geodesics
+from clalign.geometry import geodesics, heat
 from clalign.geometry.geodesics import all_pairs, farthest_point_geodesics, low_rank
-from clalign.geometry.heat import Geodesics
+from clalign.geometry.heat import FastMarching, Geodesics, HeatMethod, diffusion_time, distance_solver
 from clalign.geometry.operators import lumped_mass
 from clalign.mesh.mesh import Mesh
 
@@ -146,7 +146,7 @@ def test_cost_is_bounded_on_large_meshes(
 @pytest.mark.parametrize("wrong", [np.nan, "refused"])
 def test_failures_of_the_heat_method_name_the_mesh(bumpy: Mesh, monkeypatch: pytest.MonkeyPatch, wrong: object) -> None:
     class Solver:
-        def __init__(self, *_: object) -> None:
+        def __init__(self, *_: object, t_coef: float) -> None:
             if wrong == "refused":
                 raise RuntimeError("mesh is not manifold")
 
@@ -157,3 +157,41 @@ def test_failures_of_the_heat_method_name_the_mesh(bumpy: Mesh, monkeypatch: pyt
     message = "not manifold" if wrong == "refused" else "not finite"
     with pytest.raises(MeshError, match=f"mesh.*{message}"):
         farthest_point_geodesics(bumpy, 5, 2)
+
+
+def tube(sections: int, around: int = 12) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """A thin cylinder of radius 0.08 whose sections lie 0.05 apart, closed at neither end."""
+    angle = 2 * np.pi * np.arange(around) / around
+    ring = 0.08 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    along = 0.05 * np.arange(sections)
+    vertices = np.concatenate([np.tile(ring, (sections, 1)), np.repeat(along, around)[:, None]], axis=1)
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(sections - 1), np.arange(around), indexing="ij"))
+    a, b = i * around + j, i * around + (j + 1) % around
+    return vertices, np.concatenate([np.stack([a, b, b + around], 1), np.stack([a, b + around, a + around], 1)])
+
+
+@pytest.mark.parametrize("sections", [200, 1500, 3000])
+def test_distances_along_a_tube_grow_to_its_end(sections: int) -> None:
+    """With a diffusion time of one squared edge they are constant beyond some 380 edges."""
+    vertices, faces = tube(sections)
+    row = distance_solver(vertices, faces.astype(np.int32), "tube").row(0)
+    along = vertices[::12, 2]
+    np.testing.assert_allclose(row[::12][5:], along[5:], rtol=0.03, atol=0.02 * along[-1])
+    if sections > 400:
+        assert HeatMethod(vertices, faces.astype(np.int32), "tube", 1.0).row(0).max() < 0.5 * along[-1]
+
+
+def test_the_diffusion_time_is_that_of_the_paper_where_heat_reaches_everything(bumpy: Mesh) -> None:
+    assert diffusion_time(bumpy.vertices, bumpy.faces) == 1.0
+    assert diffusion_time(*tube(3000)) > 50
+
+
+def test_fronts_are_marched_on_large_meshes_to_the_same_distances(
+    bumpy: Mesh, dense: NDArray[np.float64], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    surface = bumpy.vertices, bumpy.faces, bumpy.name
+    assert isinstance(distance_solver(*surface), HeatMethod)
+    monkeypatch.setattr(heat, "MARCHED", 5.0)
+    solver = distance_solver(*surface)
+    assert isinstance(solver, FastMarching)
+    assert np.abs(solver.row(7) - dense[7]).mean() < 0.015 * dense.max()

@@ -5,8 +5,10 @@ from __future__ import annotations
 import analytic
 import numpy as np
 import pytest
+import scipy.sparse as sparse
 import shapes
 
+from clalign.benchmark.damage import needled
 from clalign.errors import InputError
 from clalign.geometry import operators
 from clalign.geometry.spectra import Spectrum, solve
@@ -236,3 +238,26 @@ def test_orientation_of_many_faces_is_summed_in_pieces(monkeypatch: pytest.Monke
     whole = operators.orientation_tensor(faces, vertices)
     monkeypatch.setattr(operators, "_FACES_AT_ONCE", 37)
     np.testing.assert_allclose(operators.orientation_tensor(faces, vertices), whole, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ["sphere", "torus"])
+def test_the_intrinsic_operator_is_that_of_cotangents_on_delaunay_triangles(name: str) -> None:
+    (vertices, faces), _ = SURFACES[name]
+    plain = operators.stiffness(vertices, faces)
+    between = plain - sparse.diags(plain.diagonal())
+    matrix, mass = operators.intrinsic_operators(vertices, faces)
+    if between.max() <= 1e-9:
+        np.testing.assert_allclose(matrix.toarray(), plain.toarray(), atol=1e-4)
+        np.testing.assert_allclose(mass, operators.lumped_mass(vertices, faces), rtol=1e-4)
+    assert abs(matrix.sum(axis=1)).max() < 1e-9
+    assert (matrix - sparse.diags(matrix.diagonal())).max() <= 1e-9, "no weight between vertices is negative"
+    assert mass.sum() == pytest.approx(face_areas(vertices, faces).sum(), rel=1e-4)
+
+
+def test_needles_hardly_change_intrinsic_eigenvalues(rng: np.random.Generator) -> None:
+    """On a mesh of which edges were cut very near their ends, low eigenvalues stay."""
+    vertices, faces = analytic.bumpy(3)
+    damaged = needled(vertices, faces.astype(np.int64), rng)
+    before = solve(*operators.intrinsic_operators(vertices, faces), 20).eigenvalues
+    after = solve(*operators.intrinsic_operators(damaged.vertices, damaged.faces.astype(np.int32)), 20).eigenvalues
+    np.testing.assert_allclose(after[1:], before[1:], rtol=0.01)

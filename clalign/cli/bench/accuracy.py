@@ -78,7 +78,9 @@ def _add(
     add_option_arguments(parser, preset=False)
     add_run_arguments(parser, f"clalign-bench-{name}")
     parser.add_argument("--points", metavar="N", type=int, help="points measured a pair (default: 500)")
-    parser.add_argument("--distances", metavar="METHOD", default="heat", help="'heat' (default) or 'bounded'")
+    parser.add_argument(
+        "--distances", metavar="METHOD", default="heat", help="'heat' (default), 'bounded' or 'marching'"
+    )
     add_output_arguments(parser, None, f"{name}, for whole lists")
     parser.set_defaults(run=run, suite=name)
     return parser
