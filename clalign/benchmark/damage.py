@@ -56,11 +56,15 @@ def pinched(vertices: Vertices, faces: Faces, rng: np.random.Generator) -> Damag
     new_of_old, used = np.arange(n), np.zeros(n, dtype=bool)
     count = 0
     for a, b in pairs[np.argsort(gaps)]:
+        if used[[a, b]].any():
+            continue
         ring = np.unique(faces[np.isin(faces, (a, b)).any(axis=1)])
-        if count < TOUCHING and not used[ring].any():
+        if not used[ring].any():
             new_of_old[b] = a
             used[ring] = True
             count += 1
+            if count == TOUCHING:
+                break
     return Damaged(vertices, new_of_old[faces], new_of_old)
 
 
