@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from clalign.errors import MeshError
 from clalign.mesh.checks import diagnose
 from clalign.mesh.defects import Diagnosis
-from clalign.mesh.reading import read_mesh_file
+from clalign.mesh.reading import expanded, mesh_stem, read_mesh_file
 from clalign.mesh.topology import boxed, face_areas
 
 log = logging.getLogger(__name__)
@@ -94,15 +93,16 @@ class Mesh:
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """Read an OFF, PLY, OBJ or STL file, keeping the file's vertex numbers.
+    """Read a mesh file of any format in `clalign.mesh.reading`, keeping the file's vertex numbers.
 
     Raises
     ------
     MeshError
         if the file cannot be read, or has a defect that the method cannot work with.
     """
-    raw, path = read_mesh_file(path), Path(path)
-    return _mesh_from_diagnosis(diagnose(raw.vertices, raw.faces, str(path)), path.stem, str(path), raw.notes)
+    raw, path = read_mesh_file(path), expanded(path)
+    diagnosis = diagnose(raw.vertices, raw.faces, str(path))
+    return _mesh_from_diagnosis(diagnosis, mesh_stem(path.name), str(path), raw.notes)
 
 
 def mesh_from_arrays(
