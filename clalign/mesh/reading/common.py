@@ -89,6 +89,11 @@ def strip(corners: NDArray[np.int64]) -> NDArray[np.int64]:
     return triangles
 
 
+def strips(sizes: NDArray[np.int64], corners: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Return the triangles (m, 3) of each of several strips, given by their lengths and all their corners."""
+    return [strip(part) for part in np.split(corners, np.cumsum(sizes)[:-1]) if len(part) > 2]
+
+
 def doubles(values: NDArray[np.number]) -> NDArray[np.float64]:
     """Return the values as float64; a damaged file may hold kinds of NaN of which numpy would warn."""
     with np.errstate(invalid="ignore"):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.mesh.reading.common import NO_FACES, FileMesh, FormatError, damage_in_a_sentence, fan, shown, strip
+from clalign.mesh.reading.common import NO_FACES, FileMesh, FormatError, damage_in_a_sentence, fan, shown, strip, strips
 
 Ints = NDArray[np.int64]
 
@@ -103,7 +103,7 @@ def _dataset(cursor: _Cursor, split: bool) -> FileMesh:
                 if words[0] == b"POLYGONS":
                     faces.append(fan(*cells))
                 if words[0] == b"TRIANGLE_STRIPS":
-                    faces += [strip(part) for part in np.split(cells[1], np.cumsum(cells[0])[:-1]) if len(part) > 2]
+                    faces += strips(*cells)
             case [b"CELL_TYPES", count]:
                 triangles, notes = surface_cells(cursor.numbers(int(count), b"int").astype(np.int64), *cells)
                 faces.append(triangles)

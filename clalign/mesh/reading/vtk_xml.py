@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.mesh.reading.common import NO_FACES, FileMesh, FormatError, Part, damage_in_a_sentence, fan, joined, strip
+from clalign.mesh.reading.common import NO_FACES, FileMesh, FormatError, Part, damage_in_a_sentence, fan, joined, strips
 from clalign.mesh.reading.vtk import surface_cells
 
 TYPES = {f"{kind}{bits}": f"{kind[0].lower()}{bits // 8}" for kind in ("Int", "UInt") for bits in (8, 16, 32, 64)}
@@ -68,8 +68,7 @@ def _faces(arrays: _Arrays, piece: ElementTree.Element) -> tuple[NDArray[np.int6
         table = piece.find(name)
         if table is not None and table.find("DataArray") is not None:
             sizes, corners = _cells(arrays, table)
-            strips = [strip(part) for part in np.split(corners, np.cumsum(sizes)[:-1]) if len(part) > 2]
-            found += [fan(sizes, corners)] if name == "Polys" else strips
+            found += [fan(sizes, corners)] if name == "Polys" else strips(sizes, corners)
     return np.concatenate(found), ()
 
 
