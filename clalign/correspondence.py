@@ -23,6 +23,7 @@ from clalign.geometry.spectra import Spectrum
 from clalign.maps.point_maps import PointMaps, check_map, write_map
 from clalign.mesh.mesh import Mesh
 from clalign.options import Options
+from clalign.storage.files import write_json
 from clalign.storage.folders import atomic_folder, recover
 
 RESULT_FORMAT = 1
@@ -237,8 +238,7 @@ class Correspondence:
             np.savez(unfinished / ARRAYS_FILE, **arrays)
             if extra_files is not None:
                 extra_files(unfinished)
-            text = json.dumps(self.facts(), indent=2, ensure_ascii=False, allow_nan=False)
-            (unfinished / FACTS_FILE).write_text(text + "\n", encoding="utf-8")
+            write_json(unfinished / FACTS_FILE, self.facts())
 
     @staticmethod
     def load(folder: str | Path) -> Correspondence:
@@ -274,7 +274,7 @@ def _number(value: float | None) -> float:
 def _mesh_facts(mesh: Mesh) -> dict[str, Any]:
     return {
         "name": mesh.name,
-        "path": mesh.path,
+        "path": mesh.path and str(Path(mesh.path).absolute()),
         "vertices": mesh.n_vertices,
         "faces": mesh.n_faces,
         "file_vertices": mesh.file_count,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from clalign.benchmark.records import Key, Record
 from clalign.errors import ResultError
 from clalign.evaluation.errors import THRESHOLDS
+from clalign.storage.files import write_text
 
 COLUMNS = (
     *("suite", "method", "pairs", "mean", "median", "worst pair", "flips", "exact"),
@@ -162,7 +163,7 @@ def update_file(path: str | Path, name: str, body: str, short: str | None = None
             text = replace_section(text, section, bodies[section])
     except ResultError as error:
         raise ResultError(f"{path}: {error}") from error
-    Path(path).write_text(text, encoding="utf-8")
+    write_text(Path(path), text)
 
 
 def _summary(suite: str, method: str, records: Sequence[Record]) -> Summary:

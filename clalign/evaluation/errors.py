@@ -20,6 +20,7 @@ from clalign.evaluation.distances import METHODS, DistanceMethod, Distances
 from clalign.evaluation.truth import Truth
 from clalign.geometry.operators import lumped_mass, stiffness
 from clalign.mesh.mesh import Mesh
+from clalign.storage.files import write_text
 
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
@@ -166,7 +167,7 @@ class Evaluation:
 
 def _write_text(path: str | Path, text: str) -> None:
     try:
-        Path(path).write_text(text, encoding="utf-8", newline="\n")
+        write_text(Path(path), text)
     except OSError as error:
         raise ResultError(f"{path}: cannot be written ({error.strerror})") from error
 

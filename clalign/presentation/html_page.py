@@ -7,7 +7,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from clalign.storage.files import replaced_file
+from clalign.storage.files import replaced_file, text_bytes
 
 _LOADER = PackageLoader(__package__, ".")
 _TEMPLATES = Environment(
@@ -32,4 +32,4 @@ def write_page(path: Path, template: str, **values: object) -> None:
     """Write a page that loads nothing from elsewhere; an earlier one is replaced only when the new one is complete."""
     page = rendered(template, **values)
     with replaced_file(path) as stream:
-        stream.write(page.encode())
+        stream.write(text_bytes(page))

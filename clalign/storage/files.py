@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import secrets
 import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 try:
     import fcntl
@@ -40,6 +41,25 @@ def replaced_file(path: Path, *, durable: bool = False) -> Iterator[IO[bytes]]:
     finally:
         with contextlib.suppress(OSError):
             unfinished.unlink()
+
+
+def text_bytes(text: str) -> bytes:
+    r"""Return text as UTF-8, with a visible escape for what UTF-8 does not have.
+
+    Python holds a byte of a file name that is no UTF-8 as a lone surrogate; it becomes ``\udcf6``, which JSON reads
+    back as the same name, and a person can still read.
+    """
+    return text.encode("utf-8", errors="backslashreplace")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file of text, whatever names are in it; OSError as the system gives it."""
+    path.write_bytes(text_bytes(text))
+
+
+def write_json(path: Path, value: Any, indent: int = 2) -> None:
+    """Write plain values as a JSON document; OSError as the system gives it."""
+    write_text(path, json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def size_text(size: float) -> str:

@@ -15,6 +15,7 @@ from clalign.cli.match import option_changes
 from clalign.cli.terminal import Terminal
 from clalign.errors import InputError, OptionError
 from clalign.options import Options
+from clalign.storage.files import write_text
 
 if TYPE_CHECKING:
     from clalign.benchmark.layouts import Layout
@@ -113,7 +114,7 @@ def _report(finished: Run, args: argparse.Namespace, terminal: Terminal) -> int:
     summaries = summarise(finished.records)
     text = markdown(summaries)
     document = as_json(summaries, finished.problems)
-    (args.out / "summary.md").write_text(text + "\n", encoding="utf-8")
+    write_text(args.out / "summary.md", text + "\n")
     (args.out / "summary.json").write_text(document, encoding="utf-8")
     for failure in failures(finished.records):
         terminal.warn(failure)
@@ -229,7 +230,7 @@ def _study_report(
     """Write and show the table of one study, and return its summaries as plain values."""
     from clalign.benchmark.table import failures, summarise, update_file
 
-    (args.out / f"study-{name}.md").write_text(text + "\n", encoding="utf-8")
+    write_text(args.out / f"study-{name}.md", text + "\n")
     for failure in failures(finished.records):
         terminal.warn(failure)
     terminal.say(text)

@@ -11,6 +11,7 @@ from clalign.cli.bench.common import add_option_arguments, add_output_arguments
 from clalign.cli.match import option_changes
 from clalign.cli.terminal import Terminal
 from clalign.options import Options
+from clalign.storage.files import write_text
 
 _DESCRIPTION = """\
 Match all pairs of a folder of shapes with one local worker, with two, and with two workers of a scheduler in other
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         "errors": [asdict(entry) for entry in errors],
         "different_maps": differing,
     }
-    (args.out / "summary.md").write_text(text + "\n", encoding="utf-8")
+    write_text(args.out / "summary.md", text + "\n")
     (args.out / "summary.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     terminal.say(text)
     terminal.say("errors: mean geodesic error of each map x 100 / sqrt(area)")

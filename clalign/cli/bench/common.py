@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from clalign.cli.terminal import Terminal
 from clalign.errors import ResultError
+from clalign.storage.files import write_text
 
 if TYPE_CHECKING:
     from clalign.benchmark.performance import Machine
@@ -77,7 +78,7 @@ def deliver(
     terminal.document(whole)
     if args.out is not None:
         try:
-            args.out.write_text(json.dumps(whole, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+            write_text(args.out, json.dumps(whole, indent=2, ensure_ascii=False) + "\n")
         except OSError as error:
             raise ResultError(f"{args.out}: cannot be written ({error.strerror})") from error
     for page in args.update:
