@@ -69,6 +69,7 @@ class ShapeCache:
     def __init__(self, folder: str | Path | None = None, limit_bytes: int = DEFAULT_LIMIT) -> None:
         self.folder = cache_folder() if folder is None else Path(folder)
         self.limit_bytes = limit_bytes
+        self._told = False
 
     def get(self, key: str) -> dict[str, NDArray[Any]] | None:
         """Return the arrays stored under a key, or None.
@@ -106,7 +107,9 @@ class ShapeCache:
                 np.savez(stream, **contents)
             self._shrink()
         except OSError as error:
-            logger.warning("the cache in %s cannot be written (%s); going on without it", self.folder, error)
+            level = logging.DEBUG if self._told else logging.WARNING
+            logger.log(level, "the cache in %s cannot be written (%s); going on without it", self.folder, error)
+            self._told = True
             return False
         return True
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import json
+import logging
 import os
 import secrets
+import shutil
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -16,6 +19,8 @@ try:
     import fcntl
 except ImportError:  # Windows has no flock: every process compiles its kernels anew
     fcntl = None  # type: ignore[assignment]
+
+logger = logging.getLogger(__name__)
 
 KERNEL_VARIABLE = "POCL_CACHE_DIR"
 """Environment variable with the folder in which PoCL keeps compiled kernels."""
@@ -82,6 +87,36 @@ def cache_folder() -> Path:
     return Path(platformdirs.user_cache_dir("clalign"))
 
 
+def ensure_driver_caches() -> None:
+    """Let kernels go to a temporary folder, and pyopencl keep nothing, where the user's caches take no files.
+
+    PoCL would have no device there, and pyopencl would fail in the middle of the work. Works only before either is
+    loaded, and leaves alone what the user has set.
+    """
+    import platformdirs
+
+    caches = Path(platformdirs.user_cache_dir())
+    if all(map(takes_files, (caches / "pyopencl", caches / "pocl" / "kcache"))):
+        return
+    os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
+    if not os.environ.get(KERNEL_VARIABLE):
+        folder = tempfile.mkdtemp(prefix="clalign-kernels-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        os.environ[KERNEL_VARIABLE] = folder
+        logger.info("%s takes no files; kernels are compiled anew, in %s", caches, folder)
+
+
+def takes_files(folder: Path) -> bool:
+    """Tell whether files can be written in a folder, or in the one that it would be made in."""
+    try:
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
 def claim_kernel_folder() -> None:
     """Give this process a folder of compiled kernels that no other process writes to, and keep it until the end.
 
@@ -96,6 +131,7 @@ def claim_kernel_folder() -> None:
             os.environ[KERNEL_VARIABLE] = tempfile.mkdtemp(prefix="clalign-kernels-")
             _kernel_lock = -1
             return
+        ensure_driver_caches()
         named = os.environ.get(KERNEL_VARIABLE)
         root = Path(named) if named else cache_folder() / "kernels"
         number = 0
