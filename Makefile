@@ -27,7 +27,7 @@ docs: $(VENV)/.installed-dev ## build the documentation into docs/_build/html, w
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
 
 clean: ## remove the virtual environment and every cache beside the sources
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf $(VENV) build dist docs/_build docs/generated .hypothesis .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 
 # A candidate counts only if it starts: version managers leave commands on the path that do not.
 $(VENV)/bin/python:

@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 
 from clalign.errors import ClalignWarning, OptionError, ResultError
 from clalign.geometry.spectra import Spectrum
+from clalign.maps.file_maps import vertex_status
 from clalign.maps.point_maps import PointMaps, check_map, write_map
 from clalign.mesh.mesh import Mesh
+from clalign.mesh.stored import mesh_arrays, mesh_facts, stored_mesh
 from clalign.options import Options
 from clalign.storage.files import write_json
 from clalign.storage.folders import atomic_folder, recover
@@ -37,7 +39,6 @@ BACKWARD_FILE = "source_of_target.txt"
 
 _ARRAYS = ("target_of_source", "source_of_target", "functional_map", "rotation", "distortion")
 _SCORES = ("score", "orientation", "distance")
-_MESH_ARRAYS = ("vertices", "faces", "offset", "file_index")
 _SPECTRA = ("source_basis", "target_basis", "source_scale_invariant", "target_scale_invariant")
 
 
@@ -63,7 +64,7 @@ class Correspondence:
     """Dense correspondence between a source mesh X and a target mesh Y.
 
     Maps are in the vertex numbering of the files; functions on vertices are in the compact order of the meshes
-    (`Mesh.file_index` translates, and the two agree unless a file has vertices outside its surface).
+    (`Mesh.file_index` and `Mesh.vertex_of_file` translate; both agree where a file is one clean surface).
 
     source, target : the meshes, scaled to unit area.
     target_of_source : (file_count_x,) int64, the target vertex of every source vertex; -1 off the surface.
@@ -131,8 +132,7 @@ class Correspondence:
             check_map("target_of_source", maps.target_of_source, source.file_count, target.file_count)
             check_map("source_of_target", maps.source_of_target, target.file_count, source.file_count)
         for name, mesh in zip(_SPECTRA, (source, target, source, target), strict=True):
-            rows = len(getattr(self, name).functions)
-            if rows != mesh.n_vertices:
+            if (rows := len(getattr(self, name).functions)) != mesh.n_vertices:
                 raise ResultError(f"{name}: has {rows} rows, the mesh {mesh.name!r} has {mesh.n_vertices} vertices")
         if len(self.distortion) != source.n_vertices:
             raise ResultError(f"distortion: has {len(self.distortion)} values, not one a source vertex")
@@ -148,6 +148,12 @@ class Correspondence:
         functions = self.target_scale_invariant.functions[:, : len(self.rotation)]
         return functions if self.options.alignment.sides == "one" else functions @ self.rotation.T
 
+    @property
+    def barycentric(self) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
+        """`source_faces` and `source_barycentric`, or None without the sub-vertex read-out."""
+        faces, weights = self.source_faces, self.source_barycentric
+        return None if faces is None or weights is None else (faces, weights)
+
     def __getattr__(self, name: str) -> Any:
         if name not in ("source_descriptors", "target_descriptors"):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
@@ -158,6 +164,16 @@ class Correspondence:
             stacklevel=2,
         )
         return getattr(self, now)
+
+    @property
+    def source_status(self) -> NDArray[np.uint8]:
+        """(file_count_x,) how each source vertex came to its match: `VertexStatus`."""
+        return vertex_status(self.source, self.target_of_source)
+
+    @property
+    def target_status(self) -> NDArray[np.uint8]:
+        """(file_count_y,) how each target vertex came to its match: `VertexStatus`."""
+        return vertex_status(self.target, self.source_of_target)
 
     @property
     def interrupted(self) -> bool:
@@ -175,15 +191,14 @@ class Correspondence:
         """Show the match in a notebook."""
         import clalign
 
-        html: str = clalign.notebook_html(self)
-        return html
+        return str(clalign.notebook_html(self))
 
     def facts(self) -> dict[str, Any]:
         """Return everything but the arrays as plain values: the content of ``result.json``."""
         return {
             "format": RESULT_FORMAT,
-            "source": _mesh_facts(self.source),
-            "target": _mesh_facts(self.target),
+            "source": mesh_facts(self.source),
+            "target": mesh_facts(self.target),
             "device": self.device,
             "confidence": finite_or_none(self.confidence),
             "orientation": finite_or_none(self.orientation),
@@ -271,23 +286,9 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def _mesh_facts(mesh: Mesh) -> dict[str, Any]:
-    return {
-        "name": mesh.name,
-        "path": mesh.path and str(Path(mesh.path).absolute()),
-        "vertices": mesh.n_vertices,
-        "faces": mesh.n_faces,
-        "file_vertices": mesh.file_count,
-        "scale": float(mesh.scale),
-        "notes": list(mesh.notes),
-    }
-
-
 def _arrays(result: Correspondence) -> Iterator[tuple[str, NDArray[Any]]]:
     for side in ("source", "target"):
-        mesh = getattr(result, side)
-        for name in _MESH_ARRAYS:
-            yield f"{side}.{name}", getattr(mesh, name)
+        yield from ((f"{side}.{name}", values) for name, values in mesh_arrays(getattr(result, side)).items())
     for name in _SPECTRA:
         spectrum = getattr(result, name)
         yield f"{name}.eigenvalues", spectrum.eigenvalues
@@ -299,13 +300,10 @@ def _arrays(result: Correspondence) -> Iterator[tuple[str, NDArray[Any]]]:
         yield f"alternatives.{number}.source_of_target", alternative.source_of_target
     columns = list(dict.fromkeys(name for entry in result.history for name in entry))
     yield "history.columns", np.array(columns, dtype=np.str_)
-    yield (
-        "history.values",
-        np.array([[entry.get(name, np.nan) for name in columns] for entry in result.history], dtype=np.float64),
-    )
-    if result.source_faces is not None and result.source_barycentric is not None:
-        yield "source_faces", result.source_faces
-        yield "source_barycentric", result.source_barycentric
+    values = [[entry.get(name, np.nan) for name in columns] for entry in result.history]
+    yield "history.values", np.array(values, dtype=np.float64)
+    if result.barycentric is not None:
+        yield from zip(("source_faces", "source_barycentric"), result.barycentric, strict=True)
 
 
 def _read_facts(folder: Path) -> dict[str, Any]:
@@ -316,8 +314,8 @@ def _read_facts(folder: Path) -> dict[str, Any]:
         raise ResultError(f"{folder}: is not a result folder of clalign, it has no {FACTS_FILE}") from error
     except (OSError, ValueError) as error:
         raise ResultError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(facts, dict) or facts.get("format") != RESULT_FORMAT:
-        found = facts.get("format") if isinstance(facts, dict) else None
+    found = facts.get("format") if isinstance(facts, dict) else None
+    if found != RESULT_FORMAT:
         raise ResultError(f"{path}: has format {found!r}, this version of clalign reads format {RESULT_FORMAT}")
     return facts
 
@@ -343,8 +341,8 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     plain |= {name: _spectrum(name, arrays) for name in _SPECTRA}
     columns = ["outer_iteration" if name == "round" else str(name) for name in arrays["history.columns"]]
     return Correspondence(
-        source=_mesh("source", facts, arrays),
-        target=_mesh("target", facts, arrays),
+        source=stored_mesh(facts["source"], _within("source.", arrays)),
+        target=stored_mesh(facts["target"], _within("target.", arrays)),
         **plain,
         history=tuple(
             {name: float(value) for name, value in zip(columns, row, strict=True) if not np.isnan(value)}
@@ -376,19 +374,9 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     )
 
 
-def _mesh(side: str, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Mesh:
-    values = facts[side]
-    return Mesh(
-        vertices=arrays[f"{side}.vertices"],
-        faces=arrays[f"{side}.faces"],
-        offset=arrays[f"{side}.offset"],
-        file_index=arrays[f"{side}.file_index"],
-        scale=float(values["scale"]),
-        name=str(values["name"]),
-        path=values["path"],
-        file_count=int(values["file_vertices"]),
-        notes=tuple(values["notes"]),
-    )
+def _within(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the arrays whose names begin with a prefix, without it."""
+    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
 
 
 def _spectrum(name: str, arrays: Mapping[str, NDArray[Any]]) -> Spectrum:

@@ -78,6 +78,17 @@ def _check_choices(group: str, options: Any) -> None:
 
 
 @dataclass(frozen=True)
+class SurfaceOptions:
+    """How a mesh is read as a surface.
+
+    strict : refuse a mesh that is no surface as it stands (edges with three faces, sheets that touch in a point, open
+        seams, several pieces); otherwise it is read as the surface that was most likely meant, with a note.
+    """
+
+    strict: bool = False
+
+
+@dataclass(frozen=True)
 class SpectrumOptions:
     """Eigenfunctions of both Laplace–Beltrami operators.
 
@@ -243,6 +254,7 @@ class Options:
     rules : numbers inside the method that no user needs to know; see `clalign.rules`.
     """
 
+    surface: SurfaceOptions = field(default_factory=SurfaceOptions)
     spectrum: SpectrumOptions = field(default_factory=SpectrumOptions)
     geodesics: GeodesicOptions = field(default_factory=GeodesicOptions)
     search: SearchOptions = field(default_factory=SearchOptions)

@@ -5,7 +5,7 @@
  * index. A file that includes this one defines SCORE(product, bias), and `bias0`, `bias1`, `panel` and `group` where it keeps.
  *
  * No kernels of its own: best and where (GROUPS row groups, RT, 2) vectors in private memory, index (rows) int and score
- * (rows) in global memory; numpy twin: clalign.engine.reference.best_points.
+ * (rows) in global memory; numpy twins: clalign.engine.reference.Reference.nearest, soft_map_argmax
  */
 #include "tile.cl"
 

@@ -9,7 +9,8 @@
  * transpose:   launch (ceil(columns / TB)), TB rows of the result each; out (columns, rows) = a (rows, columns)
  * band_expand: matrix (d, d) from values, lower (d), offsets (d + 1): row i holds columns lower[i] on
  * band_gather: values from matrix
- * numpy twins: clalign.engine.reference.Reference (same names; row_dots: numpy.sum(a * b, axis=1))
+ * numpy twins: clalign.engine.reference.Reference.add, scale_rows, reciprocal, gather, half_squares, transpose, band_expand,
+ * band_gather; gather is gather_rows, half_squares row_dots of a matrix with itself and then add
  */
 #include "sums.cl"
 

@@ -6,7 +6,6 @@ Peaks of memory do not depend on what else the machine does, and times are proce
 from __future__ import annotations
 
 import multiprocessing
-import os
 import tempfile
 import time
 import warnings
@@ -22,7 +21,7 @@ from scipy.optimize import nnls
 
 from clalign import resources
 from clalign.benchmark.generated import generated_pair
-from clalign.benchmark.memory import PeakMemory
+from clalign.benchmark.memory import PeakMemory, processor_seconds
 from clalign.benchmark.performance import Machine
 from clalign.data import bundled_pair
 from clalign.engine import open_backend
@@ -144,8 +143,7 @@ class _StageWork:
         self._stage, self._before = "start", 0.0
 
     def __call__(self, stage: str, fraction: float = 0.0, message: str = "") -> None:
-        used = os.times()
-        now = used.user + used.system + used.children_user + used.children_system
+        now = processor_seconds()
         self.seconds[self._stage] = self.seconds.get(self._stage, 0.0) + now - self._before
         self._stage, self._before = STAGES.get(stage, stage), now
 

@@ -19,22 +19,26 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.benchmark.pairs import TruthFiles
+from clalign.benchmark.pairs import TruthFiles, mirror_file, truth_file
 from clalign.benchmark.table import markdown_table
 from clalign.collection.cluster import wait_for_workers, worker_environment
 from clalign.collection.members import DIGEST_LETTERS, Member
 from clalign.collection.result import Collection
-from clalign.collection.run import DEFAULT_LATENT, NETWORK_BYTES, Progress, match_collection
+from clalign.collection.run import DEFAULT_LATENT, NETWORK_BYTES, match_collection
 from clalign.collection.store import CACHE_FOLDER, PairMaps, PairRow, ShapeRow
 from clalign.collection.work import EIGENVALUES, Settings, match_members
 from clalign.errors import ClalignError, OptionError
 from clalign.evaluation.errors import evaluate
+from clalign.matching.loop import Progress
 from clalign.mesh.mesh import Mesh, load_mesh
 from clalign.options import Options
-from clalign.storage.files import size_text
+from clalign.storage.files import size_text, write_text
 
 RunName = Literal["one", "two", "scheduler", "star", "tree"]
 RUNS: tuple[RunName, ...] = ("one", "two", "scheduler", "star", "tree")
+FEW_PAIRS: tuple[RunName, ...] = ("star", "tree")
+"""Runs that match few pairs and derive the others."""
+
 TIMES_FILE = "bench.json"
 START_SECONDS = 60.0
 
@@ -73,6 +77,22 @@ class Errors:
     flipped: int | None
 
 
+def run_names(text: str) -> tuple[RunName, ...]:
+    """Return the runs of a comma-separated list.
+
+    Raises
+    ------
+    OptionError
+        There is no such run.
+    """
+    known = {str(name): name for name in RUNS}
+    words = [word.strip() for word in text.split(",")]
+    unknown = [word for word in words if word not in known]
+    if unknown:
+        raise OptionError(f"unknown run {unknown[0]!r}; there are {', '.join(RUNS)}")
+    return tuple(known[word] for word in words)
+
+
 def run_one(
     name: RunName, shapes: Path, folder: Path, options: Options, progress: Progress | None = None
 ) -> tuple[Collection, RunTimes]:
@@ -80,15 +100,20 @@ def run_one(
 
     "one" and "two" match all pairs with so many local workers, "scheduler" with two workers started as on other
     machines, "star" and "tree" match few pairs with two workers and derive the others.
+
+    Raises
+    ------
+    OptionError
+        The run is there with other options.
     """
-    if name not in RUNS:
-        raise OptionError(f"unknown run {name!r}; there are {', '.join(RUNS)}")
     out, known = folder / name, folder / name / TIMES_FILE
     if known.is_file():
-        return Collection.load(out), RunTimes(**json.loads(known.read_text(encoding="utf-8")))
+        collection = Collection.load(out)
+        collection.store.check_options(options)
+        return collection, RunTimes(**json.loads(known.read_text(encoding="utf-8")))
     again = out.exists()
     workers = 1 if name == "one" else 2
-    pairs = name if name in ("star", "tree") else "all"
+    pairs = name if name in FEW_PAIRS else "all"
     with hand_started(workers) if name == "scheduler" else contextlib.nullcontext() as address:
         started = time.perf_counter()
         collection = match_collection(
@@ -103,7 +128,7 @@ def run_one(
         )
         wall = time.perf_counter() - started
     times = RunTimes(name, workers, None if again else wall, *_work(collection))
-    known.write_text(json.dumps(asdict(times)) + "\n", encoding="utf-8")
+    write_text(known, json.dumps(asdict(times)) + "\n")
     return collection, times
 
 
@@ -115,11 +140,7 @@ def _work(collection: Collection) -> tuple[float, float, float]:
 
 def direct_rows(collection: Collection) -> list[PairRow]:
     """Return the rows of the pairs as they were matched, without what the network made of them."""
-    rows = []
-    for source, target in collection.store.pair_names("pairs"):
-        folder = collection.store.pair_folder("pairs", source, target)
-        rows.append(PairRow(**json.loads((folder / "pair.json").read_text(encoding="utf-8"))["row"]))
-    return rows
+    return [collection.store.row("pairs", *names) for names in collection.store.pair_names("pairs")]
 
 
 @contextlib.contextmanager
@@ -179,6 +200,7 @@ def measured(
     rows: Sequence[PairRow],
     maps_of: Callable[[PairRow], PairMaps],
     points: int,
+    seed: int,
 ) -> Errors:
     """Measure maps against the truth that lies beside the meshes, in the layout of the humans.
 
@@ -190,11 +212,12 @@ def measured(
     means, flips = [], []
     for row in sorted(rows, key=lambda row: (row.source, row.target)):
         for name in (row.source, row.target):
-            meshes.setdefault(name, load_mesh(paths[name]))
+            if name not in meshes:
+                meshes[name] = load_mesh(paths[name])
         source, target = meshes[row.source], meshes[row.target]
         truth, mirrored = _truth(paths[row.source], paths[row.target]).read(source, target)
         forward: NDArray[Any] = maps_of(row).target_of_source
-        found = evaluate(forward, truth, source=source, target=target, mirrored=mirrored, points=points)
+        found = evaluate(forward, truth, source=source, target=target, mirrored=mirrored, points=points, seed=seed)
         means.append(found.mean)
         flips.append(found.flipped)
     known = [flip for flip in flips if flip is not None]
@@ -202,18 +225,20 @@ def measured(
 
 
 def _truth(source: Path, target: Path) -> TruthFiles:
-    mirror = source.parent / "mirror.txt"
-    known = mirror if mirror.is_file() else None
-    own, other = (path.with_name(f"{path.stem}.truth.txt") for path in (source, target))
-    files = TruthFiles(own, other, known)
-    return TruthFiles(mirror=known) if files.missing() else files
+    mirror = mirror_file(source.parent)
+    own, other = (truth_file(path.parent, path.stem) for path in (source, target))
+    files = TruthFiles(own, other, mirror)
+    return TruthFiles(mirror=mirror) if files.missing() else files
 
 
-def error_rows(name: str, collection: Collection, points: int) -> list[Errors]:
-    """Return the errors of a run: of the maps as matched, and of those that it ends with."""
+def error_rows(name: str, collection: Collection, points: int, seed: int = 0) -> list[Errors]:
+    """Return the errors of a run: of the maps as matched, and of those that it ends with.
+
+    So many `points` of each pair are measured, drawn with `seed`.
+    """
     store = collection.store
     return [
-        measured(f"{name}, {kind}", collection, [row for row in rows if row.ok], maps_of, points)
+        measured(f"{name}, {kind}", collection, [row for row in rows if row.ok], maps_of, points, seed)
         for kind, rows, maps_of in (
             ("as matched", direct_rows(collection), lambda row: store.read_maps("pairs", row.source, row.target)),
             ("consistent", collection.pairs, store.final_maps),

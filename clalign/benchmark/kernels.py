@@ -156,12 +156,12 @@ def _numpy_product(rng: np.random.Generator, m: int, n: int, depth: int) -> tupl
 
 
 def ceilings(kernels: Kernels, rng: np.random.Generator) -> Iterator[Case]:
-    """A copy of 128 MB and a product of 2048 x 2048 x 2048: what the device reaches at best."""
+    """A copy of 128 MiB and a product of 2048 x 2048 x 2048: what the device reaches at best."""
     source = kernels.zeros(1 << 25)
     target, host, other = kernels.zeros(1 << 25), np.zeros(1 << 25, np.float32), np.zeros(1 << 25, np.float32)
     moved = 2.0 * source.size * source.dtype.itemsize
     copy: Run = lambda: kernels.device.copy(source, target)  # noqa: E731
-    yield Case("copy", "128 MB", moved, copy, "numpy copy", lambda: np.copyto(other, host), unit="GB/s")
+    yield Case("copy", "128 MiB", moved, copy, "numpy copy", lambda: np.copyto(other, host), unit="GB/s")
     yield _product_case(kernels, rng, "product", 2048, 2048, 2048)
 
 
@@ -193,7 +193,7 @@ def product_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Ite
 
 
 def soft_map_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> Iterator[Case]:
-    """Quadratic form, its gradients, and the streamed form where it is not hopeless."""
+    """Quadratic form, its gradients, and, where n is not hopeless, the streamed form and the hard map."""
     n, k, r = size.n, size.k, size.r
     pairs = pair_count(k)
     work = 2.0 * n * pairs * r
@@ -215,6 +215,9 @@ def soft_map_cases(kernels: Kernels, size: Size, rng: np.random.Generator) -> It
     streamed: Run = lambda: kernels.soft_map_streamed(c, psi, w, u, out=pair)  # noqa: E731
     backward: Run = lambda: kernels.soft_map_streamed_gradient(c, psi, w, u, *pair, dz, out=dc)  # noqa: E731
     yield Case("soft_map_streamed", label, 2.0 * n * n * (k + r), streamed, *_numpy_product(rng, n, n, k + r))
+    hard, weights = (kernels.zeros(n, np.int32), kernels.zeros(n)), kernels.array(np.abs(_random(rng, n)))
+    argmax: Run = lambda: kernels.soft_map_argmax(c, psi, weights, out=hard)  # noqa: E731
+    yield Case("soft_map_argmax", f"n={n} k={k}", 2.0 * n * n * k, argmax, *_numpy_product(rng, n, n, k))
     depth = 2 * k + r
     yield Case("soft_map_streamed_gradient", label, 2.0 * n * n * depth, backward, *_numpy_product(rng, n, n, depth))
 

@@ -6,10 +6,11 @@ import dataclasses
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations, groupby
 from pathlib import Path
 
-from clalign.benchmark.pairs import BenchmarkPair, Pair, TruthFiles
+from clalign.benchmark.pairs import TRUTH_SUFFIX, BenchmarkPair, Pair, TruthFiles, mirror_file, truth_file
 from clalign.collection.members import read_pairs_file
 from clalign.errors import ResultError
 from clalign.mesh.reading import SUFFIXES, is_mesh_name, mesh_stem
@@ -123,8 +124,8 @@ def faust(root: str | Path, pairs: str | Path = "intra") -> tuple[Layout, ...]:
     places = [base / name for base in (mesh_folder, folder) for name in VTS_FOLDERS]
     corres = next((place for place in places if place.is_dir()), None)
     names, label = _faust_names(folder, meshes, pairs)
-    truth_file = None if corres is None else lambda mesh: corres / f"{mesh}.vts"
-    layout = _layout(folder, f"{folder.name}/{label}", meshes, names, truth_file)
+    points_of = None if corres is None else lambda mesh: corres / f"{mesh}.vts"
+    layout = _layout(folder, f"{folder.name}/{label}", meshes, names, points_of)
     return (dataclasses.replace(layout, problems=_absent_registrations(meshes) + layout.problems),)
 
 
@@ -183,8 +184,8 @@ def _mesh_name(word: str) -> str:
 
 
 def _human_layout(folder: Path, name: str, names: Iterable[tuple[str, str]]) -> Layout:
-    if any(folder.glob("*.truth.txt")):
-        return _layout(folder, name, _meshes(folder), names, lambda mesh: folder / f"{mesh}.truth.txt")
+    if any(folder.glob(f"*{TRUTH_SUFFIX}")):
+        return _layout(folder, name, _meshes(folder), names, partial(truth_file, folder))
     if (folder / "corres").is_dir():
         raise ResultError(f"{folder}: the truth is in corres/*.vts, which 'clalign bench faust --root' reads")
     return _layout(folder, name, _meshes(folder), names)
@@ -200,23 +201,22 @@ def _layout(
     name: str,
     meshes: dict[str, Path],
     names: Iterable[tuple[str, str]],
-    truth_file: Callable[[str], Path] | None = None,
+    points_of: Callable[[str], Path] | None = None,
 ) -> Layout:
     """Make the pairs of a folder, whose ``mirror.txt`` counts.
 
-    `truth_file` gives the file of points of a mesh. Without it vertex i is vertex i of all, and targets are shuffled.
+    `points_of` gives the file of points of a mesh. Without it vertex i is vertex i of all, and targets are shuffled.
     """
-    mirror = folder / "mirror.txt"
-    mirror_file = mirror if mirror.is_file() else None
+    mirror = mirror_file(folder)
     pairs: list[Pair] = []
     left_out: dict[str, list[str]] = {}
     for number, (a, b) in enumerate(names):
         missing = [f"no mesh {mesh}" for mesh in (a, b) if mesh not in meshes]
         if not missing:
-            if truth_file is None:
-                truth, seed = TruthFiles(mirror=mirror_file), SHUFFLE_SEED + number
+            if points_of is None:
+                truth, seed = TruthFiles(mirror=mirror), SHUFFLE_SEED + number
             else:
-                truth, seed = TruthFiles(truth_file(a), truth_file(b), mirror_file), None
+                truth, seed = TruthFiles(points_of(a), points_of(b), mirror), None
             pair = Pair(f"{a} {b}", meshes[a], meshes[b], truth, seed)
             missing = [f"no file {path.name}" for path in pair.missing()]
         if not missing:

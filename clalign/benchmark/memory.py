@@ -1,4 +1,4 @@
-"""The most memory that this process and those that it starts hold together."""
+"""The most memory that this process and those that it starts hold together, and their processor time."""
 
 from __future__ import annotations
 
@@ -12,6 +12,12 @@ from clalign.geometry.workers import processor_count
 PERIOD = 0.05
 """Seconds between two looks: a helper's work takes many, and a look less than a thousandth."""
 PROCESSES = Path("/proc")
+
+
+def processor_seconds() -> float:
+    """Return the processor time of this process since it began: of all its threads and of the children that ended."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
 
 
 class PeakMemory:

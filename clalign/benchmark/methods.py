@@ -27,9 +27,10 @@ if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
     from clalign.geometry.cache import ShapeCache
     from clalign.geometry.shape import Shape
+    from clalign.matching.loop import Progress
 
-Progress = Callable[[str, float, str], None]
-Watch = Callable[[str], Progress]
+    Watch = Callable[[str], Progress]
+
 MethodRuns = Callable[[str], "Correspondence"]
 FromTruth = Literal["", "isometric", "signs"]
 
@@ -161,16 +162,13 @@ class AlignMethod:
         start = time.perf_counter()
         result = uninterrupted(self.correspondence(pair, ShapeCache()))
         seconds = time.perf_counter() - start
-        barycentric = None
-        if result.source_faces is not None and result.source_barycentric is not None:
-            barycentric = (result.source_faces, result.source_barycentric)
         return Outcome(
             target_of_source=result.target_of_source,
             seconds=seconds,
             stages=result.timings,
             confidence=finite_or_none(result.confidence),
             orientation=finite_or_none(result.orientation),
-            barycentric=barycentric,
+            barycentric=result.barycentric,
         )
 
 

@@ -7,7 +7,6 @@ of its stages and the most memory that the process and its helpers held.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.benchmark.memory import PeakMemory
+from clalign.benchmark.memory import PeakMemory, processor_seconds
 
 
 @dataclass(frozen=True)
@@ -52,9 +51,7 @@ def run(request: Request) -> dict[str, Any]:
     seconds = time.perf_counter() - start
     if request.map:
         np.save(request.map, target_of_source)
-    # Since the process began, in all its threads and in the processes that it started.
-    used = os.times()
-    work = used.user + used.system + used.children_user + used.children_system
+    work = processor_seconds()
     return {"seconds": seconds, "stages": stages, "work": work, "device": device, "peak": memory.peak}
 
 
@@ -77,8 +74,7 @@ def _pyfm(request: Request) -> tuple[NDArray[np.int64], dict[str, float], str]:
     start = time.perf_counter()
     source, target = load_mesh(request.source), load_mesh(request.target)
     read = time.perf_counter() - start
-    nothing = np.zeros(0, dtype=np.int64)
-    outcome = PyfmMethod()(LoadedPair("pair", source, target, Truth(nothing, nothing), None))
+    outcome = PyfmMethod()(LoadedPair("pair", source, target, Truth.unknown(), None))
     return outcome.target_of_source, {"read": read, **outcome.stages}, f"numpy {np.__version__}"
 
 

@@ -11,6 +11,19 @@ from clalign.errors import ResultError
 from clalign.evaluation.truth import Truth, read_mirror, read_pair_truth
 from clalign.mesh.mesh import Mesh, load_mesh
 
+TRUTH_SUFFIX = ".truth.txt"
+
+
+def truth_file(folder: Path, mesh: str) -> Path:
+    """Return the file of a mesh (its stem) whose line i is the same point as line i of any other of the folder."""
+    return folder / f"{mesh}{TRUTH_SUFFIX}"
+
+
+def mirror_file(folder: Path) -> Path | None:
+    """Return the file of a folder whose line i is the mirror image of point i, or None where there is none."""
+    path = folder / "mirror.txt"
+    return path if path.is_file() else None
+
 
 @dataclass(frozen=True)
 class TruthFiles:

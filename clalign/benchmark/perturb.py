@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from clalign.errors import InputError
 from clalign.evaluation.truth import Truth
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
-from clalign.mesh.topology import vertex_normals
+from clalign.mesh.topology import edge_table, vertex_normals
 
 NEIGHBOURS = 8
 
@@ -39,12 +39,15 @@ def renumber(mesh: Mesh, seed: int = 0) -> Perturbed:
     new_compact = np.empty(mesh.n_vertices, dtype=np.int64)
     new_compact[order] = np.arange(mesh.n_vertices)
     faces = new_compact[mesh.faces[rng.permutation(mesh.n_faces)]]
+    # The last entry stands for no vertex, -1.
+    vertex_of_file = np.append(new_compact, -1)[mesh.vertex_of_file[np.argsort(new_of_old)]]
     turns = (np.arange(3)[None, :] + rng.integers(0, 3, mesh.n_faces)[:, None]) % 3
     changed = dataclasses.replace(
         mesh,
         vertices=mesh.vertices[order],
         faces=np.take_along_axis(faces, turns, axis=1).astype(np.int32),
         file_index=new_file_index[order],
+        vertex_of_file=vertex_of_file,
     )
     return Perturbed(changed, Truth(np.arange(mesh.file_count), new_of_old))
 
@@ -80,14 +83,12 @@ def scale(mesh: Mesh, factor: float) -> Perturbed:
 
 def subdivide(mesh: Mesh) -> Perturbed:
     """Split every face into four at the middles of its edges; the old vertices come first, in their old order."""
-    corners = mesh.faces.astype(np.int64)
-    sides = np.sort(np.stack([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]], axis=1), axis=2)
-    edges, edge_of_side = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
-    ab, bc, ca = (mesh.n_vertices + edge_of_side.reshape(-1, 3)).T
-    a, b, c = corners.T
+    table = edge_table(mesh.faces, mesh.n_vertices)
+    ab, bc, ca = mesh.n_vertices + table.edge_of_half_edge.reshape(3, -1)
+    a, b, c = mesh.faces.T.astype(np.int64)
     faces = np.concatenate([np.stack(face, axis=1) for face in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
     vertices = mesh.file_vertices()
-    vertices = np.concatenate([vertices, vertices[edges].mean(axis=1)])
+    vertices = np.concatenate([vertices, vertices[table.edges].mean(axis=1)])
     changed = mesh_from_arrays(vertices, faces, f"{mesh.name} (subdivided)")
     return Perturbed(changed, Truth(mesh.file_index, np.arange(mesh.n_vertices)))
 

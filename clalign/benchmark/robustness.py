@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clalign.benchmark import perturb
 from clalign.benchmark.layouts import Layout, mesh_files
-from clalign.benchmark.pairs import LoadedPair
+from clalign.benchmark.pairs import LoadedPair, mirror_file
 from clalign.errors import OptionError
 from clalign.evaluation.truth import Truth, read_mirror
 from clalign.mesh.mesh import Mesh, load_mesh
@@ -87,10 +87,9 @@ def robustness(path: str | Path, changes: Sequence[str] = DEFAULT_CHANGES) -> tu
     if unknown:
         raise OptionError(f"unknown change {unknown[0]!r}; there are {', '.join(CHANGES)}")
     folder, meshes = mesh_files(path)
-    mirror = folder / "mirror.txt"
-    known = mirror if mirror.is_file() else None
+    mirror = mirror_file(folder)
     layouts = []
     for change in changes:
-        pairs = tuple(ChangedPair(f"{name} {change}", mesh, change, known) for name, mesh in meshes.items())
+        pairs = tuple(ChangedPair(f"{name} {change}", mesh, change, mirror) for name, mesh in meshes.items())
         layouts.append(Layout(f"{folder.name}/{change}", pairs, ()))
     return tuple(layouts)

@@ -22,24 +22,16 @@ from clalign.benchmark.layouts import Layout
 from clalign.benchmark.methods import Method
 from clalign.benchmark.pairs import BenchmarkPair
 from clalign.benchmark.records import Key, Record, append_record, failed_record, read_records, record_of
-from clalign.errors import ClalignError, OptionError, ResultError
+from clalign.errors import ClalignError, OptionError
 from clalign.evaluation.distances import DistanceMethod
 from clalign.evaluation.errors import evaluate
-from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE, environment
-from clalign.storage.files import claim_kernel_folder
+from clalign.geometry.workers import environment, process_environment
+from clalign.storage.files import claim_kernel_folder, make_folder
 
 logger = logging.getLogger(__name__)
 
 Progress = Callable[[int, int, Record], None]
 Curves = dict[str, NDArray[np.float64]]
-
-#: One thread for every library that has its own: the processes are the parallelism.
-SINGLE_THREAD = {
-    **SINGLE_THREADED,
-    "POCL_MAX_PTHREAD_COUNT": "1",
-    "POCL_CPU_MAX_CU_COUNT": "1",
-    THREADS_VARIABLE: "1",
-}
 
 
 @dataclass(frozen=True)
@@ -120,10 +112,7 @@ def run(
     pairs = [(layout.name, pair) for layout in layouts for pair in layout.pairs]
     trials = [Trial(suite, pair, method, how) for suite, pair in pairs for method in methods]
     folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ResultError(f"{folder}: cannot make this folder ({error.strerror})") from error
+    make_folder(folder)
     known = {record.key: record for record in read_records(folder)}
     done = {key: record for key, record in known.items() if resume and not record.failed}
     waiting = [trial for trial in trials if trial.key not in done]
@@ -170,7 +159,8 @@ def measure(trial: Trial) -> tuple[Record, Curves]:
 def _in_processes(trials: Sequence[Trial], jobs: int) -> Generator[tuple[Record, Curves]]:
     """Yield results as they come; a process that dies costs the pairs that were being worked on, not the run."""
     waiting = list(reversed(trials))
-    with environment(SINGLE_THREAD):
+    # One thread for every library that has its own: the processes are the parallelism.
+    with environment(process_environment(1)):
         while waiting:
             with _pool(min(jobs, len(waiting))) as pool:
                 running: dict[Future[tuple[Record, Curves]], Trial] = {}

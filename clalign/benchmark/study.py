@@ -84,7 +84,7 @@ def study_of(text: str, base: Options) -> tuple[str, Rows]:
     elif text in STUDIES:
         title, rows = STUDIES[text]
     else:
-        raise OptionError(f"unknown study {text!r}; there are {', '.join(STUDIES)}, and OPTION=VALUE,VALUE,...")
+        raise OptionError(f"unknown study {text!r}; there are {', '.join(STUDIES)}, and --vary OPTION=VALUE,...")
     if any(is_base(changes, base) for changes in rows.values()):
         return title, rows
     return title, {"as the options say": {}} | rows

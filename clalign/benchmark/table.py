@@ -1,11 +1,11 @@
-"""Summaries of benchmark runs as Markdown and JSON, and the marked sections of pages that hold them."""
+"""Summaries of benchmark runs as Markdown and plain values, and the marked sections of pages that hold them."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,9 +115,9 @@ def error_cells(summary: Summary) -> dict[str, str]:
     return dict(zip(COLUMNS, cells, strict=True))
 
 
-def as_json(summaries: Sequence[Summary], problems: Sequence[str]) -> str:
-    """Return the summaries and what was missing as a JSON document."""
-    return json.dumps({"summaries": [asdict(s) for s in summaries], "problems": list(problems)}, indent=1) + "\n"
+def as_plain(summaries: Sequence[Summary], problems: Sequence[str]) -> dict[str, Any]:
+    """Return the summaries and what was missing as plain values for JSON."""
+    return {"summaries": [asdict(summary) for summary in summaries], "problems": list(problems)}
 
 
 def failures(records: Sequence[Record]) -> list[str]:
@@ -150,7 +150,7 @@ def update_file(path: str | Path, name: str, body: str, short: str | None = None
     Raises
     ------
     ResultError
-        The file cannot be read, or has no such section.
+        The file cannot be read or written, or has no such section.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -163,7 +163,7 @@ def update_file(path: str | Path, name: str, body: str, short: str | None = None
             text = replace_section(text, section, bodies[section])
     except ResultError as error:
         raise ResultError(f"{path}: {error}") from error
-    write_text(Path(path), text)
+    write_text(path, text)
 
 
 def _summary(suite: str, method: str, records: Sequence[Record]) -> Summary:

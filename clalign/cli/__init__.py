@@ -1,1 +1,1 @@
-"""The command line: one module a command, listed in `main.COMMANDS`."""
+"""The command line: commands are listed in `main.COMMANDS`, with their modules; the benchmarks are a package."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import json
 
+from clalign.cli.terminal import Terminal
 from clalign.storage.files import size_text
 
 
@@ -29,11 +29,9 @@ def show_info(args: argparse.Namespace) -> int:
     from clalign.geometry.cache import ShapeCache
 
     info = ShapeCache().info()
-    if args.json:
-        values = {"folder": str(info.folder), "entries": info.entries, "bytes": info.size, "limit": info.limit}
-        print(json.dumps(values, indent=2))
-    else:
-        print(f"{info.folder}: {info.entries} entries, {size_text(info.size)} of at most {size_text(info.limit)}")
+    terminal = Terminal(as_json=args.json)
+    terminal.say(f"{info.folder}: {info.entries} entries, {size_text(info.size)} of at most {size_text(info.limit)}")
+    terminal.document({"folder": str(info.folder), "entries": info.entries, "bytes": info.size, "limit": info.limit})
     return 0
 
 

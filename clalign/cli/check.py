@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from clalign.cli.terminal import Terminal, table
 from clalign.errors import MeshError, OptionError
 from clalign.options import Options
-from clalign.storage.files import size_text
+from clalign.storage.files import duration_text, size_text
 from clalign.storage.folders import atomic_files, check_files
 
 if TYPE_CHECKING:
@@ -53,6 +53,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--repair", metavar="OUT", type=Path, help="write a cleaned copy of the one MESH")
     parser.add_argument("--merge", action="store_true", help="with --repair: first join vertices at equal positions")
+    parser.add_argument("--strict", action="store_true", help="call a mesh unusable that is no surface as it stands")
+    parser.add_argument("--component", metavar="N", type=int, help="the piece to use, numbered from 1 for the largest")
     parser.add_argument("--force", action="store_true", help="replace OUT and OUT.index.txt if they exist")
     parser.add_argument("--preset", metavar="NAME", default="default", help="preset that the forecast is for")
     parser.add_argument("--json", action="store_true", help="print the findings as one JSON document")
@@ -63,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     """Examine every mesh, repair one if asked to, and return 0 if all of it can be used."""
     _check_usage(args)
     options = Options.preset(args.preset)
-    found = [examine(path, options) for path in args.meshes]
+    found = [examine(path, options, strict=args.strict, component=args.component) for path in args.meshes]
     document: dict[str, Any] = {"meshes": found, "usable": all(mesh["usable"] for mesh in found)}
     if len(found) == 2 and document["usable"]:
         document["match"] = _forecast([mesh["used"]["vertices"] for mesh in found], options)
@@ -103,20 +105,21 @@ def repaired_paths(out: Path) -> list[Path]:
     return [out, out.with_name(out.name + INDEX_SUFFIX)]
 
 
-def examine(path: Path, options: Options) -> dict[str, Any]:
+def examine(path: Path, options: Options, *, strict: bool = False, component: int | None = None) -> dict[str, Any]:
     """Return every finding about one file as plain values.
 
     Parameters
     ----------
     path : a mesh file; that it cannot be read is a finding, too.
     options : what the forecast is for.
+    strict, component : how the mesh is read; see `clalign.mesh.mesh.load_mesh`.
     """
     from clalign.mesh.checks import diagnose
     from clalign.mesh.reading import read_mesh_file
 
     try:
         raw = read_mesh_file(path)
-        diagnosis = diagnose(raw.vertices, raw.faces, str(path))
+        diagnosis = diagnose(raw.vertices, raw.faces, str(path), strict=strict, component=component)
     except MeshError as error:
         return {"path": str(path), "usable": False, "error": str(error).removeprefix(f"{path}: ")}
     found: dict[str, Any] = {
@@ -253,13 +256,7 @@ def _cost(predicted: dict[str, Any]) -> str:
     available = predicted["available"]
     free = "" if available is None else f" of {size_text(available)} that are free"
     too_much = " (TOO MUCH)" if available is not None and predicted["memory"] > available else ""
-    return f"about {_duration(predicted['seconds'])}, {size_text(predicted['memory'])}{free}{too_much}"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{max(5 * round(seconds / 5), 5)} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+    return f"about {duration_text(predicted['seconds'])}, {size_text(predicted['memory'])}{free}{too_much}"
 
 
 def _little_left(repaired: dict[str, Any]) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clalign.cli.match import add_job_arguments, options_from
-from clalign.cli.terminal import Terminal, table
+from clalign.cli.terminal import EXIT_INTERRUPTED, Terminal, table
 from clalign.errors import OptionError
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 DEFAULT_FOLDER = Path("clalign-collection")
 PAGE_FILE = "index.html"
-EXIT_INTERRUPTED = 130
 
 _DESCRIPTION = """\
 Match the pairs of a set of shapes in parallel, each shape prepared once, find the maps that contradict the others and
@@ -65,6 +64,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--cache", metavar="FOLDER", type=Path, help="prepared shapes (default: DIR/shapes)")
     parser.add_argument("--cache-limit", metavar="GB", type=float, help="largest size of the prepared shapes")
+    # Not offered, but known, so that the answer can name --cache FOLDER.
+    parser.add_argument("--no-cache", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--no-picture", action="store_true", help=f"do not draw the shapes in {PAGE_FILE}")
+    parser.add_argument("--no-report", action="store_true", help=f"write neither {PAGE_FILE} nor a page for each pair")
     parser.set_defaults(run=run)
 
 

@@ -12,6 +12,7 @@ import dataclasses
 import importlib.metadata
 import importlib.util
 import json
+import math
 import os
 import platform
 import re
@@ -20,7 +21,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from clalign.cli.terminal import table
+from clalign.cli.terminal import Terminal, table
 from clalign.errors import ClalignError, DeviceError
 from clalign.options import Options
 from clalign.storage.files import KERNEL_VARIABLE, size_text
@@ -55,11 +56,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Examine, print, and return 0 if matching works on some device."""
     findings = examine()
-    if args.json:
-        print(json.dumps(findings, indent=2))
-    else:
-        for line in report(findings):
-            print(line)
+    terminal = Terminal(as_json=args.json)
+    for line in report(findings):
+        terminal.say(line)
+    terminal.document(findings)
     return 0 if findings["works"] else 1
 
 
@@ -227,7 +227,11 @@ def _check_line(answer: dict[str, Any]) -> str:
         return f"FAILED: {answer['error']}"
     checks = answer["checks"]
     seconds = sum(check["seconds"] for check in checks)
-    wrong = [f"{check['function']} is off by {check['error']:.1e}" for check in checks if not check["agrees"]]
+    wrong = [
+        f"{check['function']} " + ("gives no number" if check["error"] is None else f"is off by {check['error']:.1e}")
+        for check in checks
+        if not check["agrees"]
+    ]
     if wrong:
         return "WRONG: " + ", ".join(wrong)
     worst = max(check["error"] for check in checks)
@@ -279,7 +283,10 @@ def _answer(arguments: list[str]) -> dict[str, Any]:
             return {"devices": [dataclasses.asdict(facts) for facts in list_devices()], "libraries": _libraries()}
         options = Options().replace({"engine.device": arguments[0], "engine.precision": arguments[1]})
         checks = self_test(open_backend(options.engine))
-        return {"checks": [{**dataclasses.asdict(check), "agrees": check.agrees} for check in checks]}
+        # JSON has no word for what is not a number.
+        errors = [check.error if math.isfinite(check.error) else None for check in checks]
+        facts = [{**dataclasses.asdict(check), "agrees": check.agrees} for check in checks]
+        return {"checks": [fact | {"error": error} for fact, error in zip(facts, errors, strict=True)]}
     except ClalignError as error:
         return {"error": str(error), "libraries": _libraries()}
 

@@ -26,7 +26,7 @@ _EPILOG = """\
 truth:
   --truth identity            vertex i of the source is vertex i of the target
   --truth FILE                line i: target vertex of source vertex i
-  --truth FILE FILE           line i of both files is the same point (.vts: counted from 1)
+  --truth FILE FILE           line i of both files is the same point (X.vts Y.vts: counted from 1)
 examples:
   clalign evaluate clalign-result --truth identity --mirror mirror.txt
   clalign evaluate map.txt --base 1 --source a.off --target b.off --truth a.vts b.vts --picture curve.png
@@ -44,7 +44,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--base", type=int, choices=(0, 1), default=0, help="first vertex number in MAP (default: 0)")
     parser.add_argument("--truth", metavar="FILE", nargs="+", required=True, help="see below")
     parser.add_argument(
-        "--truth-base", type=int, choices=(0, 1), help="first vertex number in the truth (default: 1 for .vts, else 0)"
+        "--truth-base",
+        type=int,
+        choices=(0, 1),
+        help="first vertex number in the truth (default: 1 where two files are .vts, else 0)",
     )
     parser.add_argument("--mirror", metavar="FILE", help="line i: number (from 0) of the mirror image of point i")
     parser.add_argument("--points", metavar="N", type=int, help="points measured (default: 500 drawn, or all if fewer)")

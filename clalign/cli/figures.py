@@ -11,7 +11,7 @@ from clalign.benchmark.methods import method_runs, split_list
 from clalign.cli.bench.common import add_option_arguments
 from clalign.cli.evaluate import bundled_truths, read_truth
 from clalign.cli.match import option_changes
-from clalign.cli.terminal import Progress, Terminal
+from clalign.cli.terminal import Terminal
 from clalign.data import bundled_pair
 from clalign.errors import OptionError, ResultError
 from clalign.options import Options
@@ -19,6 +19,7 @@ from clalign.options import Options
 if TYPE_CHECKING:
     from clalign.benchmark.pairs import LoadedPair
     from clalign.correspondence import Correspondence
+    from clalign.matching.loop import Progress
     from clalign.presentation.figures.gallery import Subject
 
 DEFAULT_FOLDER = Path("clalign-figures")
@@ -139,6 +140,10 @@ def _subject(args: argparse.Namespace, terminal: Terminal, progress: Progress) -
     if len(args.paths) > 2:
         raise OptionError(f"name one result folder or two meshes, not {len(args.paths)} paths")
     known: Correspondence | None = None
+    if not args.paths and (args.truth or args.mirror):
+        raise OptionError("--truth and --mirror are of a pair that is named; the bundled pair has its own truth")
+    if args.mirror and not args.truth:
+        raise OptionError("--mirror is of the points of a truth: give --truth too")
     if not args.paths:
         source, target = (load_mesh(path) for path in bundled_pair()[:2])
         pair = LoadedPair("bundled humans", source, target, *bundled_truths(source, target))
@@ -162,12 +167,10 @@ def _subject(args: argparse.Namespace, terminal: Terminal, progress: Progress) -
         known={} if known is None else {MAIN: known},
     )
     names = tuple(split_list(args.variants)) if args.variants else ()
-    return Subject(pair, runs, names, args.index, args.pair_index, args.height, comparable)
+    return Subject(pair, runs, names, args.index, args.pair_index, args.height, comparable, args.seed)
 
 
 def _named(args: argparse.Namespace) -> tuple[LoadedPair, Correspondence | None]:
-    import numpy as np
-
     from clalign.benchmark.pairs import LoadedPair
     from clalign.correspondence import Correspondence
     from clalign.evaluation.truth import Truth, read_mirror
@@ -181,8 +184,7 @@ def _named(args: argparse.Namespace) -> tuple[LoadedPair, Correspondence | None]
         source, target = known.source, known.target
     else:
         source, target = (load_mesh(path) for path in args.paths)
-    nothing = np.empty(0, dtype=np.int64)
-    truth, mirrored = Truth(nothing, nothing), None
+    truth, mirrored = Truth.unknown(), None
     if args.truth:
         truth = read_truth(args.truth, args.truth_base, source, target)
         mirrored = truth.mirrored(read_mirror(args.mirror)) if args.mirror else None

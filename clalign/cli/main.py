@@ -21,12 +21,12 @@ from typing import Any, NoReturn
 
 from clalign import __version__
 from clalign.cli import bench, cache, check, collection, doctor, evaluate, figures, match, options, saved
+from clalign.cli.terminal import EXIT_INTERRUPTED
 from clalign.ctrl_c import plain_interrupts
 from clalign.errors import ClalignError, ClalignWarning, DeviceError, InputError
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
-EXIT_INTERRUPTED = 130
 
 
 #: Each adds its parser, with the function that runs it as the default of ``run``.

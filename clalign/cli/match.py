@@ -9,6 +9,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ from clalign.ctrl_c import plain_interrupts
 from clalign.data import bundled_pair
 from clalign.errors import ClalignWarning, OptionError
 from clalign.options import Options
+from clalign.presentation import PAGE_FILE, PICTURE_FILE
 from clalign.storage.folders import check_destination
 
 if TYPE_CHECKING:
@@ -30,15 +32,13 @@ if TYPE_CHECKING:
     Truths = tuple[Truth, Truth | None]
     """The true map, and that of the left-right confusion where it is known."""
 
-PICTURE_FILE = "match.png"
-REPORT_FILE = "report.html"
 EVALUATION_FILE = "evaluation.json"
 
 _DESCRIPTION = """\
 Find for every vertex of SOURCE the corresponding vertex of TARGET, and the other way round. Meshes are files
-of one connected surface each: OFF, PLY, OBJ, STL, glTF, 3MF, VTK, GIFTI or FreeSurfer. The result folder gets both maps
-as text (line i: 0-based vertex of the other file), result.npz, result.json, match.png and report.html (open it in a
-browser); it is written wholly or not at all.
+of one body each: OFF, PLY, OBJ, STL, glTF, 3MF, VTK, GIFTI or FreeSurfer. The result folder gets both maps as text
+(line i: 0-based vertex of the other file), result.npz, result.json, match.png and report.html (open it in a browser);
+it is written wholly or not at all.
 """
 
 _EPILOG = """\
@@ -56,7 +56,14 @@ def add_match(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("source", metavar="SOURCE", type=Path, help="mesh whose vertices are mapped")
     parser.add_argument("target", metavar="TARGET", type=Path, help="mesh that they are mapped to")
     add_job_arguments(parser, Path("clalign-result"))
+    _add_file_arguments(parser)
     parser.add_argument("--force", action="store_true", help="replace an earlier result in DIR")
+    parser.add_argument(
+        "--component",
+        metavar="N[,N]",
+        help="the piece to match of a mesh with several, numbered from 1 for the largest as 'clalign check' lists "
+        "them: of both meshes, or of source and target; '-' for the one that stands out",
+    )
     parser.add_argument(
         "--truth",
         metavar="FILE",
@@ -75,7 +82,39 @@ def run_match(args: argparse.Namespace) -> int:
     def truths(source: Mesh, target: Mesh) -> Truths | None:
         return (read_truth(args.truth, None, source, target), None) if args.truth else None
 
-    return _run(args.source, args.target, args, truths, force=args.force)
+    meshes = _Files(args.source, args.target, *chosen_components(args.component))
+    return _run(meshes, args, truths, force=args.force)
+
+
+def chosen_components(text: str | None) -> tuple[int | None, int | None]:
+    """Return the pieces of source and target that ``--component`` names; None where none is named.
+
+    Raises
+    ------
+    OptionError
+        The text is something else than one or two numbers from 1.
+    """
+    words = (text or "-").split(",")
+    if len(words) > 2 or not all(word == "-" or (word.isdecimal() and int(word) > 0) for word in words):
+        raise OptionError(f"--component {text}: expected one number from 1 for both meshes or two, such as 1,2 or -,2")
+    chosen = [None if word == "-" else int(word) for word in words]
+    return chosen[0], chosen[-1]
+
+
+@dataclass(frozen=True)
+class _Files:
+    """Two mesh files, and which piece of each is meant."""
+
+    source: Path
+    target: Path
+    source_component: int | None = None
+    target_component: int | None = None
+
+    def load(self, *, strict: bool) -> tuple[Mesh, Mesh]:
+        from clalign.mesh.mesh import load_mesh
+
+        source = load_mesh(self.source, strict=strict, component=self.source_component)
+        return source, load_mesh(self.target, strict=strict, component=self.target_component)
 
 
 def add_demo(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -87,16 +126,17 @@ def add_demo(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "with its mirror image. An earlier result of the demo in DIR is replaced.",
     )
     add_job_arguments(parser, Path("clalign-demo"))
+    _add_file_arguments(parser)
     parser.set_defaults(run=run_demo)
 
 
 def run_demo(args: argparse.Namespace) -> int:
     """Match the bundled pair."""
-    return _run(bundled_pair().source, bundled_pair().target, args, bundled_truths, force=True)
+    return _run(_Files(bundled_pair().source, bundled_pair().target), args, bundled_truths, force=True)
 
 
 def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> None:
-    """Add the arguments that every command has which matches one pair."""
+    """Add the arguments that every command has which matches: where to, how, and what it shows."""
     parser.add_argument(
         "--out", metavar="DIR", type=Path, default=default_folder, help="result folder (default: %(default)s)"
     )
@@ -119,6 +159,11 @@ def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> 
     parser.add_argument(
         "--metric", metavar="NAME", help="'power' (default), 'regularized', 'euclidean', 'heat-kernel' or 'auto'"
     )
+    parser.add_argument(
+        "--strict",
+        action="store_true",
+        help="refuse a mesh that is no clean surface instead of reading it as the one that was most likely meant",
+    )
     parser.add_argument("--alternatives", metavar="N", type=int, help="keep the N best different maps too")
     parser.add_argument(
         "--set",
@@ -128,11 +173,15 @@ def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> 
         dest="changes",
         help="change any single option; may be repeated; 'clalign options' lists all of them",
     )
-    parser.add_argument("--no-cache", action="store_true", help="compute everything anew and store nothing for later")
-    parser.add_argument("--no-picture", action="store_true", help="do not draw match.png")
-    parser.add_argument("--no-report", action="store_true", help="do not write report.html")
     parser.add_argument("--quiet", action="store_true", help="show nothing but warnings and errors")
     parser.add_argument("--json", action="store_true", help="print the summary as one JSON document")
+
+
+def _add_file_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what says which files one match reads and writes beside its result."""
+    parser.add_argument("--no-cache", action="store_true", help="compute everything anew and store nothing for later")
+    parser.add_argument("--no-picture", action="store_true", help=f"do not draw {PICTURE_FILE}")
+    parser.add_argument("--no-report", action="store_true", help=f"do not write {PAGE_FILE}")
 
 
 def options_from(args: argparse.Namespace) -> Options:
@@ -147,6 +196,7 @@ def options_from(args: argparse.Namespace) -> Options:
         "search.orientation": args.orientation,
         "search.alternatives": args.alternatives,
         "spectrum.metric": args.metric,
+        "surface.strict": True if args.strict else None,
     }
     changes = {name: value for name, value in named.items() if value is not None}
     return Options.preset(args.preset).replace({**changes, **option_changes(args)})
@@ -172,8 +222,7 @@ def option_changes(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _run(
-    source_path: Path,
-    target_path: Path,
+    files: _Files,
     args: argparse.Namespace,
     truths_of: Callable[[Mesh, Mesh], Truths | None],
     *,
@@ -187,10 +236,9 @@ def _run(
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
 
     from clalign.correspondence import FACTS_FILE
-    from clalign.mesh.mesh import load_mesh
 
     with missed_interrupts() as raise_missed:
-        source, target = load_mesh(source_path), load_mesh(target_path)
+        source, target = files.load(strict=options.surface.strict)
         truths = truths_of(source, target)
         device = _device(options)
         # Last, so that no mistake elsewhere comes to light only after --force was added.
@@ -260,7 +308,7 @@ def _extra_files(
         if not args.no_picture:
             _drawn(partial(save_match_picture, result), folder / PICTURE_FILE, terminal)
         if not args.no_report:
-            _drawn(partial(write_report, result, evaluation=evaluation), folder / REPORT_FILE, terminal)
+            _drawn(partial(write_report, result, evaluation=evaluation), folder / PAGE_FILE, terminal)
 
     return write
 
@@ -292,7 +340,7 @@ def _show_summary(result: Correspondence, evaluation: Evaluation | None, folder:
         rows.append(("error", f"mean {mean:.3f}, median {median:.3f} {measured}"))
         if evaluation.mirrored_mean is not None:
             rows.append(("mirrored", f"mean {100 * evaluation.mirrored_mean:.3f} to the mirror image of the truth"))
-    page = f", open {folder / REPORT_FILE} in a browser" if (folder / REPORT_FILE).is_file() else ""
+    page = f", open {folder / PAGE_FILE} in a browser" if (folder / PAGE_FILE).is_file() else ""
     rows.append(("result", f"{folder}{page}"))
     for line in table(rows, indent=""):
         terminal.say(line)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.errors import InputError, ResultError
+from clalign.presentation import PAGE_FILE, PICTURE_FILE
 
 if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
@@ -40,7 +41,7 @@ def run_show(args: argparse.Namespace) -> int:
     if not args.page:
         show(Correspondence.load(args.result), up=args.up, screenshot=args.screenshot)
         return 0
-    page = args.result.resolve() / "report.html"
+    page = args.result.resolve() / PAGE_FILE
     if not page.is_file():
         correspondence = Correspondence.load(args.result)
         with _writing(page):
@@ -247,7 +248,7 @@ def _export(correspondence: Correspondence, name: str, args: argparse.Namespace)
 
     if name in ("report", "picture"):
         args.out.mkdir(parents=True, exist_ok=True)
-        path = args.out / ("report.html" if name == "report" else "match.png")
+        path = args.out / (PAGE_FILE if name == "report" else PICTURE_FILE)
         draw: Any = write_report if name == "report" else save_match_picture
         draw(correspondence, path, up=args.up)
         return [path]

@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-Progress = Callable[..., None]
-"""Called as ``progress(stage, fraction, message)``: the stage is done to `fraction`, 0 to 1."""
+    from clalign.matching.loop import Progress
+
+EXIT_INTERRUPTED = 130
+"""Exit status after Ctrl-C."""
 
 _PLAIN_SECONDS = 10.0
 
@@ -52,7 +54,7 @@ class Terminal:
     def progress(self) -> Iterator[Progress]:
         """Yield what shows the progress: as bars on a terminal, as plain lines in a log, or not at all."""
         if self.quiet:
-            yield lambda stage, fraction, message="": None
+            yield lambda stage, fraction, message: None
         elif sys.stderr.isatty():
             with bars() as progress:
                 yield progress

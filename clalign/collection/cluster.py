@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.errors import ClalignError, OptionError
-from clalign.geometry.workers import SINGLE_THREADED, THREADS_VARIABLE, environment, processor_count
+from clalign.geometry.workers import environment, process_environment, processor_count
 
 if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
@@ -107,11 +107,9 @@ def _quiet() -> Iterator[None]:
 
 def worker_environment(workers: int) -> dict[str, str]:
     """Return the variables of a local worker; the libraries read them when they load, so they are set before."""
-    share = str(max(1, processor_count() // workers))
-    device = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", THREADS_VARIABLE)
     # Fewer arenas keep less of what is freed; a low trim threshold, as Dask sets it, costs half the time in faults.
     memory = {"MALLOC_ARENA_MAX": "2"}
-    return SINGLE_THREADED | dict.fromkeys(device, share) | memory
+    return process_environment(max(1, processor_count() // workers)) | memory
 
 
 def _check_workers(client: Client, folder: Path) -> None:
@@ -130,9 +128,7 @@ def _check_workers(client: Client, folder: Path) -> None:
         raise OptionError(f"the Dask scheduler has no worker after {WAIT_FOR_WORKERS:.0f} s") from error
     for worker, (version, seen) in client.run(_facts, str(folder)).items():
         if version != clalign.__version__:
-            raise OptionError(
-                f"worker {worker} has clalign {version or 'not installed'}, here is {clalign.__version__}"
-            )
+            raise OptionError(f"worker {worker} has clalign {version}, here is {clalign.__version__}")
         if not seen:
             raise OptionError(
                 f"worker {worker} does not see {folder}; put --out and the meshes on a shared file system"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -33,15 +33,16 @@ from clalign.correspondence import finite_or_none
 from clalign.errors import OptionError
 from clalign.geometry.workers import processor_count
 from clalign.maps.functional_maps import polar_factor
+from clalign.matching.loop import Progress
 from clalign.options import Options
 from clalign.rules import CollectionRules
+from clalign.storage.files import duration_text
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
 logger = logging.getLogger(__name__)
 
-Progress = Callable[[str, float, str], None]
 Consistency = Literal["auto", "none", "repair", "all"]
 
 DEFAULT_LATENT = 60
@@ -275,6 +276,8 @@ class Job:
         estimate = Estimate(len(tasks))
         for task, value in outcomes(client, tasks):
             row = self._derived_row(task, value)
+            # The pair may have failed in the other order; what is there now stands for it.
+            self.final.pop((row.target, row.source), None)
             self.final[row.source, row.target] = row
             self.report("consistent", *estimate.step(row))
 
@@ -327,11 +330,5 @@ class Estimate:
             said = row.kind if row.confidence is None else f"confidence {row.confidence:.2f}"
         else:
             said = f"{row.status.upper()}: {row.message}"
-        when = f", {_duration(left)} left" if self.done < self.total else ""
+        when = f", about {duration_text(left)} left" if self.done < self.total else ""
         return self.done / self.total, f"{self.done}/{self.total}{when}; {row.source} {row.target}: {said}"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"about {seconds:.0f} s"
-    return f"about {seconds / 60:.0f} min" if seconds < 5400 else f"about {seconds / 3600:.1f} h"

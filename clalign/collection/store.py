@@ -149,6 +149,11 @@ def pair_key(source: Member, target: Member, options: Options, more: str = "") -
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:24]
 
 
+def subfolder_of(kind: Kind) -> Subfolder:
+    """Return where the pairs of a kind are."""
+    return "pairs" if kind == "direct" else "consistent"
+
+
 class Store:
     """Reads and writes the folder of one collection; `pairs` and `shapes` are its index, one row each."""
 
@@ -176,14 +181,23 @@ class Store:
         if path.is_file():
             if not resume:
                 raise ResultError(f"{self.folder}: already holds a collection; give --resume, or another --out")
-            self._check_options(options)
+            self.check_options(options)
         elif held:
             raise ResultError(f"{self.folder}: holds files that are not a collection; choose another --out")
         document = {"format": FORMAT, "options": options.as_dict(), **settings}
         with replaced_file(path) as stream:
             stream.write(text_bytes(json.dumps(document, indent=2, ensure_ascii=False) + "\n"))
 
-    def _check_options(self, options: Options) -> None:
+    def check_options(self, options: Options) -> None:
+        """Refuse other options than those of the collection that is there.
+
+        Raises
+        ------
+        OptionError
+            They differ; the message names them.
+        ResultError
+            The folder is not a collection.
+        """
         before = flattened(self.settings()["options"])
         now = flattened(json.loads(json.dumps(options.as_dict())))
         if before == now:
@@ -248,13 +262,31 @@ class Store:
 
     def finished(self, subfolder: Subfolder, source: str, target: str, key: str) -> PairRow | None:
         """Return the row of a pair whose folder is whole and was written under this key, else None."""
-        folder = self.pair_folder(subfolder, source, target)
-        recover(folder)
+        recover(self.pair_folder(subfolder, source, target))
         try:
-            document = json.loads((folder / PAIR_FILE).read_text(encoding="utf-8"))
-            return PairRow(**document["row"]) if document["key"] == key else None
-        except (OSError, ValueError, KeyError, TypeError):
+            written, row = self._written(subfolder, source, target)
+        except ResultError:
             return None
+        return row if written == key else None
+
+    def row(self, subfolder: Subfolder, source: str, target: str) -> PairRow:
+        """Read the row of a pair as it was written with its maps.
+
+        Raises
+        ------
+        ResultError
+            It is not there or damaged.
+        """
+        return self._written(subfolder, source, target)[1]
+
+    def _written(self, subfolder: Subfolder, source: str, target: str) -> tuple[str, PairRow]:
+        """Read the key and the row of a pair; raises ResultError where they are not there or damaged."""
+        path = self.pair_folder(subfolder, source, target) / PAIR_FILE
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+            return document["key"], PairRow(**document["row"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ResultError(f"{path}: cannot be read ({error})") from error
 
     def write_pair(
         self, subfolder: Subfolder, row: PairRow, key: str, maps: PairMaps, more: Callable[[Path], None] | None = None
@@ -283,7 +315,7 @@ class Store:
 
     def final_maps(self, row: PairRow) -> PairMaps:
         """Read the maps of a row that is "ok"."""
-        return self.read_maps("pairs" if row.kind == "direct" else "consistent", row.source, row.target)
+        return self.read_maps(subfolder_of(row.kind), row.source, row.target)
 
     def write_network(self, names: Sequence[str], network: Network) -> None:
         """Write ``network.npz``."""

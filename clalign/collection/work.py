@@ -26,21 +26,22 @@ from threadpoolctl import threadpool_limits
 from clalign.alignment.band import funnel_band
 from clalign.alignment.rotation import least_squares_start
 from clalign.collection.members import Member
-from clalign.collection.store import RESULT_FOLDER, Kind, PairMaps, PairRow, ShapeRow, Store, Subfolder, pair_key
+from clalign.collection.store import RESULT_FOLDER, Kind, PairMaps, PairRow, ShapeRow, Store, pair_key, subfolder_of
 from clalign.correspondence import Correspondence, finite_or_none
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
 from clalign.errors import ClalignError
 from clalign.geometry.cache import ShapeCache
 from clalign.geometry.shape import Shape, equally_smoothed, prepare
+from clalign.maps.file_maps import file_maps
 from clalign.maps.functional_maps import two_way_functional_map
 from clalign.maps.point_maps import PointMaps
 from clalign.matching.loop import Clock
 from clalign.matching.pair import match_shapes
-from clalign.matching.result import local_distortion, versions
+from clalign.matching.result import local_distortion, mesh_notes, versions
 from clalign.matching.stages import refined_maps, steps_before_alignment
 from clalign.matching.state import aligned_count
-from clalign.mesh.mesh import load_mesh
+from clalign.mesh.mesh import Mesh, load_mesh
 from clalign.options import Options
 from clalign.refinement.zoomout import BoundSpectra, two_way_steps
 from clalign.storage.files import claim_kernel_folder
@@ -112,9 +113,12 @@ class Session:
             while len(self._shapes) >= HELD_SHAPES:
                 self._shapes.popitem(last=False)
             self.loaded += 1
-            held = prepare(load_mesh(member.path), self.settings.options, self._cache)
+            held = prepare(self._mesh(member), self.settings.options, self._cache)
         self._shapes[member.digest] = held
         return held
+
+    def _mesh(self, member: Member) -> Mesh:
+        return load_mesh(member.path, strict=self.settings.options.surface.strict)
 
     def pair(self, source: Member, target: Member) -> tuple[Shape, Shape]:
         """Return two prepared shapes, both in the metric that the noisier one asks for."""
@@ -205,7 +209,7 @@ def derive_members(
 def _finished_pair(
     source: Member, target: Member, kind: Kind, key: str, work: Callable[[], Correspondence], settings: Settings
 ) -> PairRow:
-    subfolder: Subfolder = "pairs" if kind == "direct" else "consistent"
+    subfolder = subfolder_of(kind)
     started = time.perf_counter()
     try:
         done = settings.store.finished(subfolder, source.name, target.name, key)
@@ -290,11 +294,10 @@ def derived_correspondence(
 
     Parameters
     ----------
-    source, target : prepared with the same options.
+    source, target : prepared with the same options, in one metric (`equally_smoothed`).
     functional : (L, L) orthogonal, from coefficients in the first LBO functions of the source to those of the target.
     """
     clock = Clock()
-    source, target = equally_smoothed(source, target, options.spectrum)
     with clock.stage("refinement"):
         maps = refined_maps(source, target, functional, options, backend)
     count = aligned_count(source, target, options)
@@ -310,8 +313,7 @@ def derived_correspondence(
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
-        target_of_source=source.mesh.map_to_file(target.mesh, maps.target_of_source),
-        source_of_target=target.mesh.map_to_file(source.mesh, maps.source_of_target),
+        **vars(file_maps(source.mesh, target.mesh, maps)),
         functional_map=functional,
         rotation=start.rotation,
         source_basis=source.basis.head(max(len(functional), options.spectrum.basis)),
@@ -325,7 +327,7 @@ def derived_correspondence(
         distortion=local_distortion(source, target, maps.target_of_source),
         alternatives=(),
         timings=clock.seconds,
-        warnings=tuple(f"{mesh.name}: {note}" for mesh in (source.mesh, target.mesh) for note in mesh.notes),
+        warnings=mesh_notes(source.mesh, target.mesh),
         device=backend.name,
         options=options,
         versions=versions(),

@@ -20,6 +20,7 @@ from clalign.evaluation.distances import METHODS, DistanceMethod, Distances
 from clalign.evaluation.truth import Truth
 from clalign.geometry.operators import lumped_mass, stiffness
 from clalign.mesh.mesh import Mesh
+from clalign.mesh.topology import edge_table
 from clalign.storage.files import write_text
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ class Evaluation:
 
     def write_json(self, path: str | Path) -> None:
         """Write `as_dict` to a file; raises `ResultError` when that fails."""
-        _write_text(path, json.dumps(self.as_dict(), indent=1) + "\n")
+        write_text(path, json.dumps(self.as_dict(), indent=1) + "\n")
 
     def write_csv(self, path: str | Path) -> None:
         """Write one line a measured point: line of the truth, error, mirrored and sub-vertex error where known.
@@ -162,14 +163,7 @@ class Evaluation:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(columns)
         writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
-        _write_text(path, text.getvalue())
-
-
-def _write_text(path: str | Path, text: str) -> None:
-    try:
-        write_text(Path(path), text)
-    except OSError as error:
-        raise ResultError(f"{path}: cannot be written ({error.strerror})") from error
+        write_text(path, text.getvalue())
 
 
 def error_curve(errors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -257,8 +251,7 @@ def _unpack(
     if hasattr(result, "target_of_source"):
         source = source or result.source
         target = target or result.target
-        if barycentric is None and result.source_faces is not None and result.source_barycentric is not None:
-            barycentric = (result.source_faces, result.source_barycentric)
+        barycentric = result.barycentric if barycentric is None else barycentric
         result = result.target_of_source
     if source is None or target is None:
         raise ResultError("a bare map needs both meshes: pass source= and target=")
@@ -318,8 +311,8 @@ def _measured_points(
     off = np.flatnonzero((source.from_file(index) >= 0) & (target_of_source < 0))
     if off.size:
         raise ResultError(f"source vertex {source.file_index[off[0]]} is matched to a target vertex that is on no face")
-    ends = [source.vertex_of_file()[truth.source_points[lines]]]
-    ends += [target.vertex_of_file()[side.target_points[lines]] for side in (truth, mirrored) if side is not None]
+    ends = [source.vertex_of_file[truth.source_points[lines]]]
+    ends += [target.vertex_of_file[side.target_points[lines]] for side in (truth, mirrored) if side is not None]
     on_surface = np.logical_and.reduce([end >= 0 for end in ends])
     matched = on_surface & (target_of_source[ends[0]] >= 0)
     if not matched.any():
@@ -356,7 +349,7 @@ def map_quality(source: Mesh, target: Mesh, target_of_source: NDArray[np.int64])
     images = target.vertices[target_of_source[used]]
     area = float(lumped_mass(points, faces).sum())
     energy = 0.5 * float(np.sum(images * (stiffness(points, faces) @ images)))
-    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
-    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    image_lengths = np.linalg.norm(images[edges[:, 0]] - images[edges[:, 1]], axis=1)
+    one, other = edge_table(faces, len(points)).edges.T
+    lengths = np.linalg.norm(points[one] - points[other], axis=1)
+    image_lengths = np.linalg.norm(images[one] - images[other], axis=1)
     return MapQuality(*covered, energy / area, float(np.mean(image_lengths / lengths)))

@@ -112,6 +112,12 @@ def true_rotation(
     return np.asarray(pulled.T @ (target.mass[:, None] * target.functions[:, : source.shape[1]]))
 
 
+def rotation_of_truth(correspondence: Correspondence, maps: PointMaps) -> NDArray[np.float64]:
+    """Return the true C̃ (d, d) of the eigenfunctions that a match has aligned, by true maps between its meshes."""
+    source = as_computed(correspondence.source_scale_invariant)[:, : len(correspondence.rotation)]
+    return true_rotation(source, correspondence.target_scale_invariant, maps.source_of_target)
+
+
 def recovered_rotation(correspondence: Correspondence) -> NDArray[np.float64]:
     """Return the C̃ that a match amounts to, for the eigenfunctions as the solver gives them.
 

@@ -45,6 +45,11 @@ class Truth:
         return int(self.source_points.size)
 
     @staticmethod
+    def unknown() -> Truth:
+        """Truth without a line."""
+        return Truth.identity(0)
+
+    @staticmethod
     def identity(count: int) -> Truth:
         """Vertex i ↔ vertex i, for two meshes of one connectivity with `count` vertices each."""
         return Truth(np.arange(count), np.arange(count))
@@ -120,8 +125,8 @@ def true_maps(source: Mesh, target: Mesh, truth: Truth) -> PointMaps:
         The truth does not fit the meshes, or has no point on both surfaces.
     """
     truth.check_against(source.file_count, target.file_count)
-    source_points = source.vertex_of_file()[truth.source_points]
-    target_points = target.vertex_of_file()[truth.target_points]
+    source_points = source.vertex_of_file[truth.source_points]
+    target_points = target.vertex_of_file[truth.target_points]
     known = (source_points >= 0) & (target_points >= 0)
     if not known.any():
         raise ResultError(f"the truth has no point on both {source.name} and {target.name}")

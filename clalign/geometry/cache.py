@@ -62,7 +62,7 @@ class ShapeCache:
 
     Parameters
     ----------
-    folder : where the entries are; None for `storage.cache_folder`. It is made when the first entry is stored.
+    folder : where the entries are; None for `storage.files.cache_folder`. It is made when the first entry is stored.
     limit_bytes : total size above which entries are removed. An entry larger than that is not stored.
     """
 

@@ -67,6 +67,12 @@ def single_threaded_blas() -> Iterator[None]:
                 _limits = None
 
 
+def process_environment(threads: int) -> dict[str, str]:
+    """Return the variables of a process beside others: `threads` for shapes and an OpenCL device, one for BLAS."""
+    own = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", THREADS_VARIABLE)
+    return SINGLE_THREADED | dict.fromkeys(own, str(threads))
+
+
 @contextlib.contextmanager
 def environment(values: dict[str, str]) -> Iterator[None]:
     """Set variables for the processes started meanwhile; the libraries read them when they load."""

@@ -13,6 +13,7 @@ from clalign.matching.stages import STAGES, Report, Stage
 from clalign.matching.state import MatchState
 
 Progress = Callable[[str, float, str], None]
+"""Called as ``progress(stage, fraction, message)``: the stage is done to `fraction`, 0 to 1."""
 
 
 @dataclass

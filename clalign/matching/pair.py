@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from clalign.engine.backend import Backend
 from clalign.geometry.cache import ShapeCache
 from clalign.geometry.shape import Shape, prepare_pair
 from clalign.geometry.workers import single_threaded_blas
-from clalign.matching.loop import Clock, run_stages
+from clalign.matching.loop import Clock, Progress, run_stages
 from clalign.matching.result import correspondence, warn_of_doubts
 from clalign.matching.state import MatchState
 from clalign.mesh.mesh import as_mesh
@@ -27,15 +26,15 @@ def match(
     target: Any,
     options: Options | None = None,
     *,
-    progress: Callable[[str, float, str], None] | None = None,
+    progress: Progress | None = None,
     cache: ShapeCache | None = None,
 ) -> Correspondence:
     """Find for every vertex of each mesh its match on the other one.
 
     Parameters
     ----------
-    source, target : a path, a ``trimesh.Trimesh``, a pair ``(vertices, faces)``, or a loaded `Mesh`; one connected
-        manifold surface each.
+    source, target : a path, a ``trimesh.Trimesh``, a pair ``(vertices, faces)``, or a loaded `Mesh` (which
+        `load_mesh` makes of one of several pieces in a file).
     options : see `Options`; the default preset if None.
     progress : called as ``progress(stage, fraction, message)``, fraction in [0, 1] of the stage.
     cache : keeps what is computed of a single shape for later matches; None computes everything.
@@ -58,7 +57,10 @@ def match(
     chosen = Options() if options is None else options
     clock = Clock(progress)
     with clock.stage("read"):
-        meshes = as_mesh(source, "source"), as_mesh(target, "target")
+        meshes = (
+            as_mesh(source, "source", strict=chosen.surface.strict),
+            as_mesh(target, "target", strict=chosen.surface.strict),
+        )
     with clock.stage("device"):
         backend = open_backend(chosen.engine)
         device = backend.describe() if chosen.engine.backend == "opencl" else None

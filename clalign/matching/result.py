@@ -14,7 +14,9 @@ from clalign.correspondence import Alternative, Correspondence
 from clalign.engine.backend import Backend
 from clalign.errors import ClalignWarning, ConfidenceWarning
 from clalign.geometry.shape import Shape
+from clalign.maps.file_maps import file_maps
 from clalign.matching.state import MatchState, required
+from clalign.mesh.mesh import Mesh
 from clalign.options import Options
 from clalign.rules import JudgementRules
 
@@ -38,8 +40,7 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
     return Correspondence(
         source=source.mesh,
         target=target.mesh,
-        target_of_source=source.mesh.map_to_file(target.mesh, maps.target_of_source),
-        source_of_target=target.mesh.map_to_file(source.mesh, maps.source_of_target),
+        **vars(file_maps(source.mesh, target.mesh, maps)),
         functional_map=functional_map,
         rotation=aligned.rotation,
         source_basis=source.basis.head(size),
@@ -88,8 +89,7 @@ def _alternatives(state: MatchState) -> tuple[Alternative, ...]:
     source, target = state.source.mesh, state.target.mesh
     return tuple(
         Alternative(
-            source.map_to_file(target, maps.target_of_source),
-            target.map_to_file(source, maps.source_of_target),
+            **vars(file_maps(source, target, maps)),
             score=candidate.score,
             orientation=candidate.orientation,
             distance=candidate.distance,
@@ -106,7 +106,12 @@ def _remarks(state: MatchState, options: Options) -> list[str]:
     elif state.found is not None and count < options.search.alternatives:
         found = f"only {count} different map{' was' if count == 1 else 's were'}"
         remarks.append(f"{found if count else 'no different map was'} found ({options.search.alternatives} asked for)")
-    return remarks + [f"{mesh.name}: {note}" for mesh in (state.source.mesh, state.target.mesh) for note in mesh.notes]
+    return [*remarks, *mesh_notes(state.source.mesh, state.target.mesh)]
+
+
+def mesh_notes(*meshes: Mesh) -> tuple[str, ...]:
+    """Return what is to be said of each mesh, with its name."""
+    return tuple(f"{mesh.name}: {note}" for mesh in meshes for note in mesh.notes)
 
 
 def _failures(state: MatchState) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -75,11 +75,14 @@ class Surface:
     """(n,) the given number of every vertex."""
     face_index: NDArray[np.int64]
     """(m,) the given number of every face."""
+    joined_to: NDArray[np.int64]
+    """(file_count,) the given number of the vertex that each given vertex was joined to; its own if to none."""
 
     @staticmethod
     def whole(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
         """The surface of all given vertices and faces."""
-        return Surface(vertices, faces, np.arange(len(vertices)), np.arange(len(faces)))
+        count = len(vertices)
+        return Surface(vertices, faces, np.arange(count), np.arange(len(faces)), np.arange(count))
 
     def keep(self, faces: NDArray[np.bool_]) -> Surface:
         """The marked faces with the vertices that they use."""
@@ -87,7 +90,43 @@ class Surface:
         used = np.zeros(len(self.vertices), dtype=bool)
         used[kept.ravel()] = True
         place = np.cumsum(used) - 1
-        return Surface(self.vertices[used], place[kept], self.file_index[used], self.face_index[faces])
+        return Surface(self.vertices[used], place[kept], self.file_index[used], self.face_index[faces], self.joined_to)
+
+    def vertex_of_file(self) -> NDArray[np.int64]:
+        """(file_count,) the vertex here of every given one: of several copies that with the most faces, -1 for none."""
+        around = np.bincount(self.faces.ravel(), minlength=len(self.vertices))
+        # Of equal numbers the last one stays: the copies are written in rising order of preference.
+        order = np.lexsort((-np.arange(len(around)), around))
+        best = np.full(len(self.joined_to), -1, dtype=np.int64)
+        best[self.file_index[order]] = order
+        return best[self.joined_to]
+
+
+@dataclass(frozen=True)
+class LoosePieces:
+    """What hangs loose beside the surface (eyes, a tongue, a shell) and is carried along with it."""
+
+    file_index: NDArray[np.int64]
+    """(k,) the given numbers of its vertices."""
+    vertices: NDArray[np.float64]
+    """(k, 3) their places, in the unit of the surface that they go with."""
+    piece: NDArray[np.int64]
+    """(k,) number of the piece that each belongs to, counted from 0."""
+
+    @staticmethod
+    def none() -> LoosePieces:
+        """Nothing loose."""
+        return LoosePieces(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
+
+    def with_more(
+        self, file_index: NDArray[np.int64], vertices: NDArray[np.float64], piece: NDArray[np.int64]
+    ) -> LoosePieces:
+        """These pieces and others, which are numbered after them."""
+        return LoosePieces(
+            np.concatenate([self.file_index, file_index]),
+            np.concatenate([self.vertices, vertices]),
+            np.concatenate([self.piece, piece + len(np.unique(self.piece))]),
+        )
 
 
 @dataclass(frozen=True)
@@ -105,6 +144,8 @@ class Diagnosis:
     euler_characteristic: int = 0
     genus: int | None = None
     """Handles of the surface; None if it was refused."""
+    loose: LoosePieces = field(default_factory=LoosePieces.none)
+    """What is carried along with the surface."""
 
     @property
     def refused(self) -> tuple[Defect, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clalign.errors import MeshError
 from clalign.mesh.checks import diagnose
-from clalign.mesh.defects import Diagnosis
+from clalign.mesh.defects import Diagnosis, LoosePieces
 from clalign.mesh.reading import expanded, mesh_stem, read_mesh_file
 from clalign.mesh.topology import boxed, face_areas
 
@@ -21,7 +21,10 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Mesh:
-    """A connected, oriented, manifold triangle surface of unit area, with or without boundary."""
+    """A connected, oriented, manifold triangle surface of unit area, with or without boundary.
+
+    It is the working copy of what a file holds, as it was most likely meant; results are in the file's own numbers.
+    """
 
     vertices: NDArray[np.float64]
     """(n, 3) positions in units of sqrt(area), centred at the area centroid."""
@@ -36,14 +39,22 @@ class Mesh:
     path: str | None
     """The file, if there was one."""
     file_index: NDArray[np.int64]
-    """(n,) number in the file of each vertex."""
-    file_count: int
-    """Number of vertices in the file."""
+    """(n,) number in the file of each vertex; the same for several where sheets of the file were parted."""
+    vertex_of_file: NDArray[np.int64]
+    """(file_count,) the vertex here of every vertex of the file; the same for several that were joined, −1 for those
+    off the surface."""
     notes: tuple[str, ...]
     """What was put right while loading, as sentences for the user."""
+    loose: LoosePieces = field(default_factory=LoosePieces.none)
+    """Smaller pieces that are carried along with the surface, in its unit and place."""
 
     def __repr__(self) -> str:
         return f"<Mesh {self.name}: {self.n_vertices:,} vertices, {self.n_faces:,} faces>"
+
+    @property
+    def file_count(self) -> int:
+        """Number of vertices in the file."""
+        return len(self.vertex_of_file)
 
     @property
     def n_vertices(self) -> int:
@@ -65,22 +76,21 @@ class Mesh:
         return self.vertices * self.scale + self.offset
 
     def file_positions(self) -> NDArray[np.float64]:
-        """(file_count, 3) positions in the file's unit and order; vertices off the surface lie at the centroid."""
-        return self.to_file(self.file_vertices(), self.offset)
+        """(file_count, 3) positions in the file's unit and order; vertices without a place lie at the centroid."""
+        positions = self.to_file(self.file_vertices(), self.offset)
+        positions[self.loose.file_index] = self.loose.vertices * self.scale + self.offset
+        return positions
 
     def to_file(self, values: NDArray, fill: ArrayLike) -> NDArray:
         """Values (n, …) of the vertices in the order of the file (file_count, …), `fill` off the surface."""
         filled = np.full((self.file_count, *values.shape[1:]), fill, dtype=values.dtype)
-        filled[self.file_index] = values
+        on_surface = self.vertex_of_file >= 0
+        filled[on_surface] = values[self.vertex_of_file[on_surface]]
         return filled
 
     def from_file(self, values: NDArray) -> NDArray:
         """Values (file_count, …) in the order of the file as those of the vertices (n, …)."""
         return values[self.file_index]
-
-    def vertex_of_file(self) -> NDArray[np.int64]:
-        """(file_count,) the vertex here of every vertex of the file; −1 for those off the surface."""
-        return self.to_file(np.arange(self.n_vertices), -1)
 
     def map_to_file(self, other: Mesh, matches: NDArray[np.integer]) -> NDArray[np.int64]:
         """Turn a map (n,) to vertices of `other` into one between the files: (file_count,), −1 off the surface."""
@@ -89,11 +99,17 @@ class Mesh:
     def map_from_file(self, other: Mesh, matches: NDArray[np.integer]) -> NDArray[np.int64]:
         """Turn a map (file_count,) between the files into one to vertices of `other`: (n,), −1 for no match."""
         mine = self.from_file(matches)
-        return np.where(mine >= 0, other.vertex_of_file()[mine], -1)
+        return np.where(mine >= 0, other.vertex_of_file[mine], -1)
 
 
-def load_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """Read a mesh file of any format in `clalign.mesh.reading`, keeping the file's vertex numbers.
+def load_mesh(path: str | os.PathLike[str], *, strict: bool = False, component: int | None = None) -> Mesh:
+    """Read a mesh file, keeping the file's vertex numbers.
+
+    Parameters
+    ----------
+    path : a file of any format in `clalign.mesh.reading`.
+    strict : refuse what is no surface as it stands; otherwise it is put right as it was most likely meant, with a note.
+    component : number of the piece to match, from 1 for the largest; None for the largest if it stands out.
 
     Raises
     ------
@@ -101,20 +117,27 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
         if the file cannot be read, or has a defect that the method cannot work with.
     """
     raw, path = read_mesh_file(path), expanded(path)
-    diagnosis = diagnose(raw.vertices, raw.faces, str(path))
-    return _mesh_from_diagnosis(diagnosis, mesh_stem(path.name), str(path), raw.notes)
+    found = diagnose(raw.vertices, raw.faces, str(path), strict=strict, component=component)
+    return _mesh_from_diagnosis(found, mesh_stem(path.name), str(path), raw.notes)
 
 
 def mesh_from_arrays(
-    vertices: ArrayLike, faces: ArrayLike, name: str = "mesh", path: str | os.PathLike[str] | None = None
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    name: str = "mesh",
+    path: str | os.PathLike[str] | None = None,
+    *,
+    strict: bool = False,
+    component: int | None = None,
 ) -> Mesh:
-    """Check two arrays and scale them to a surface of unit area.
+    """Read two arrays as a surface and scale it to unit area.
 
     Parameters
     ----------
     vertices : (n, 3) float, positions in any unit.
     faces : (m, 3) int, vertex numbers counted from 0.
     name, path : what the mesh is called, and where the arrays came from, in messages.
+    strict, component : see `load_mesh`.
 
     Raises
     ------
@@ -122,10 +145,11 @@ def mesh_from_arrays(
         if there is a defect that the method cannot work with.
     """
     file = None if path is None else os.fspath(path)
-    return _mesh_from_diagnosis(diagnose(vertices, faces, file or name), name, file, ())
+    found = diagnose(vertices, faces, file or name, strict=strict, component=component)
+    return _mesh_from_diagnosis(found, name, file, ())
 
 
-def as_mesh(thing: Any, name: str = "mesh") -> Mesh:
+def as_mesh(thing: Any, name: str = "mesh", *, strict: bool = False) -> Mesh:
     """Take a mesh in any form a caller may hold it in.
 
     Parameters
@@ -133,6 +157,8 @@ def as_mesh(thing: Any, name: str = "mesh") -> Mesh:
     thing : Mesh, str, path-like, object with `vertices` and `faces` (such as trimesh.Trimesh), or (vertices, faces)
     name : str
         name for a mesh that does not come from a file.
+    strict : bool
+        see `load_mesh`; a `Mesh` is taken as it is.
 
     Raises
     ------
@@ -142,11 +168,11 @@ def as_mesh(thing: Any, name: str = "mesh") -> Mesh:
     if isinstance(thing, Mesh):
         return thing
     if isinstance(thing, (str, os.PathLike)):
-        return load_mesh(thing)
+        return load_mesh(thing, strict=strict)
     if hasattr(thing, "vertices") and hasattr(thing, "faces"):
-        return mesh_from_arrays(thing.vertices, thing.faces, name)
+        return mesh_from_arrays(thing.vertices, thing.faces, name, strict=strict)
     if isinstance(thing, (tuple, list)) and len(thing) == 2:
-        return mesh_from_arrays(thing[0], thing[1], name)
+        return mesh_from_arrays(thing[0], thing[1], name, strict=strict)
     raise MeshError(
         f"{name}: expected a path, a trimesh object or a pair (vertices, faces), not {type(thing).__name__}. "
         "Load a scene's or point cloud's triangle mesh first."
@@ -168,8 +194,9 @@ def _mesh_from_diagnosis(diagnosis: Diagnosis, name: str, path: str | None, note
         name=name,
         path=path,
         file_index=surface.file_index,
-        file_count=diagnosis.n_vertices,
+        vertex_of_file=surface.vertex_of_file(),
         notes=notes,
+        loose=replace(diagnosis.loose, vertices=(diagnosis.loose.vertices - offset) / scale),
     )
 
 

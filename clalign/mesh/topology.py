@@ -229,6 +229,11 @@ def flipped(faces: NDArray[np.int64], flip: NDArray[np.bool_]) -> NDArray[np.int
     return np.where(flip[:, None], faces[:, [0, 2, 1]], faces)
 
 
+def repeated_corners(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(m,) True for every face that names a vertex twice."""
+    return np.any(faces == np.roll(faces, 1, axis=1), axis=1)
+
+
 def duplicate_faces(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     """(m,) True for every face on the same three vertices as an earlier one, in whatever order."""
     corners = np.sort(faces, axis=1)

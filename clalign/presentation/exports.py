@@ -26,7 +26,7 @@ from clalign.presentation.raster import write_png
 from clalign.storage.files import text_bytes
 from clalign.transfer.colours import position_colours
 from clalign.transfer.outputs import keep_originals
-from clalign.transfer.surface_map import surface_map, vertex_map
+from clalign.transfer.surface_map import surface_map
 from clalign.transfer.texture import Texture, write_textured_obj
 
 ArraysOf = Callable[[Correspondence], dict[str, NDArray[Any]]]
@@ -130,8 +130,8 @@ def surface_arrays(correspondence: Correspondence) -> dict[str, NDArray[Any]]:
     return arrays | {
         "functional_map": correspondence.functional_map,
         "rotation": correspondence.rotation,
-        "target_of_source": vertex_map(correspondence.target_of_source, source, target).vertex,
-        "source_of_target": vertex_map(correspondence.source_of_target, target, source).vertex,
+        "target_of_source": source.map_from_file(target, correspondence.target_of_source),
+        "source_of_target": target.map_from_file(source, correspondence.source_of_target),
         "distortion": correspondence.distortion,
     }
 

@@ -1,4 +1,4 @@
-"""Files that are replaced at once, sizes as text, and the folders in which the program keeps what it has computed."""
+"""Files that are whole or not there, sizes and durations as text, and where the program keeps what it has computed."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
+
+from clalign.errors import ResultError
 
 try:
     import fcntl
@@ -57,14 +59,37 @@ def text_bytes(text: str) -> bytes:
     return text.encode("utf-8", errors="backslashreplace")
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file of text, whatever names are in it; OSError as the system gives it."""
-    path.write_bytes(text_bytes(text))
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file as `text_bytes`, with the line ends of `text`.
+
+    Raises
+    ------
+    ResultError
+        The file cannot be written.
+    """
+    try:
+        Path(path).write_bytes(text_bytes(text))
+    except OSError as error:
+        raise ResultError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def write_json(path: Path, value: Any, indent: int = 2) -> None:
     """Write plain values as a JSON document; OSError as the system gives it."""
-    write_text(path, json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False) + "\n")
+    path.write_bytes(text_bytes(json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"))
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it, where it is not there yet.
+
+    Raises
+    ------
+    ResultError
+        It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ResultError(f"{folder}: cannot make this folder ({error.strerror})") from error
 
 
 def size_text(size: float) -> str:
@@ -75,6 +100,13 @@ def size_text(size: float) -> str:
         if size >= unit:
             return f"{size / unit:.0f} {name}"
     return f"{size:.0f} bytes"
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration that is only estimated as people read it: no digits that are not known."""
+    if seconds < 90:
+        return f"{max(5 * round(seconds / 5), 5)} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def cache_folder() -> Path:

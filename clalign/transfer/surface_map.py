@@ -56,10 +56,9 @@ def surface_map(correspondence: Correspondence, direction: Direction = "to_sourc
     if direction == "to_target":
         return vertex_map(correspondence.source_of_target, target, source)
     coarse = vertex_map(correspondence.target_of_source, source, target)
-    if correspondence.source_faces is None or correspondence.source_barycentric is None:
+    if correspondence.barycentric is None:
         return coarse
-    faces = source.from_file(correspondence.source_faces)
-    weights = source.from_file(correspondence.source_barycentric)
+    faces, weights = map(source.from_file, correspondence.barycentric)
     known = (faces >= 0) & coarse.matched
     corners = np.where(known[:, None], target.faces[np.maximum(faces, 0)], coarse.corners)
     return SurfaceMap(coarse.vertex, corners, np.where(known[:, None], weights, coarse.weights))

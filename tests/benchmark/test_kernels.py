@@ -23,6 +23,7 @@ def test_every_costly_kernel_is_measured(kernels: Kernels, rng, monkeypatch):
         "soft_map_gradient",
         "soft_map_streamed",
         "soft_map_streamed_gradient",
+        "soft_map_argmax",
         "distortion",
         "alignment",
         "nearest",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from datasets import NearestMethod
 
-from clalign.alignment import alternation as rounds
+from clalign.alignment import alternation
 from clalign.benchmark.layouts import Layout, animals
 from clalign.benchmark.methods import AlignMethod
 from clalign.benchmark.records import RECORDS_FILE, Record, read_curves, read_records
@@ -106,7 +106,7 @@ def test_a_match_that_was_cut_short_is_no_row(
     layouts: tuple[Layout, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`match` returns after Ctrl-C; a benchmark must end there and not measure what came of it."""
-    plain, calls = rounds.read_out, 0
+    plain, calls = alternation.read_out, 0
 
     def interrupted(*arguments: Any) -> Any:
         nonlocal calls
@@ -115,7 +115,7 @@ def test_a_match_that_was_cut_short_is_no_row(
             raise KeyboardInterrupt
         return plain(*arguments)
 
-    monkeypatch.setattr(rounds, "read_out", interrupted)
+    monkeypatch.setattr(alternation, "read_out", interrupted)
     quick = {
         "search.method": "random",
         "alignment.outer_iterations": 0,

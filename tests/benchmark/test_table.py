@@ -9,7 +9,7 @@ import pytest
 from clalign.benchmark.records import Record, failed_record
 from clalign.benchmark.table import (
     SHORT_COLUMNS,
-    as_json,
+    as_plain,
     failures,
     markdown,
     mean_curve,
@@ -64,7 +64,7 @@ def test_a_suite_that_failed_wholly_has_a_row() -> None:
 
 
 def test_json_and_failures() -> None:
-    document = json.loads(as_json(summarise(ROWS), ["no mesh x"]))
+    document = json.loads(json.dumps(as_plain(summarise(ROWS), ["no mesh x"])))
     assert document["problems"] == ["no mesh x"]
     assert document["summaries"][0]["flips"] == 1
     assert failures(ROWS) == ["suite: a e by ours failed: no such mesh"]

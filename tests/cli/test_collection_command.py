@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from collections_small import ARGUMENTS, CHANGES, write_shapes
 
+from clalign.benchmark import collections
 from clalign.benchmark.collections import Costs, Errors, RunTimes, errors_table, times_table
 from clalign.cli.main import main
+from clalign.collection.result import Collection
+from clalign.collection.store import Store
 from clalign.correspondence import Correspondence
 from clalign.storage.files import size_text
 
@@ -83,6 +86,48 @@ def test_bench_measures_before_and_after(tmp_path: Path, capsys: pytest.CaptureF
     assert "| star, consistent | 3 | not known |" in text
     assert "traffic, prepared shapes" in text
     assert "old" not in text
+    # What is complete is only read, and not under other options.
+    assert main([*command, "--preset", "fast", "--quiet", *changes, "--set", "spectrum.basis=31"]) == 2
+    assert "was matched with other values of spectrum.basis" in capsys.readouterr().err
+
+
+def test_bench_compares_the_runs_of_all_pairs_with_the_first_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    compared, measured = [], []
+
+    def run_one(name: str, *_: object) -> tuple[Collection, RunTimes]:
+        return Collection(Store(tmp_path / name), (), ()), RunTimes(name, 1, 1.0, 1.0, 1.0, 0.0)
+
+    def error_rows(name: str, _: Collection, points: int, seed: int) -> list[Errors]:
+        measured.append((name, points, seed))
+        return []
+
+    def different_maps(first: Collection, second: Collection) -> list[str]:
+        compared.append((first.folder.name, second.folder.name))
+        return []
+
+    monkeypatch.setattr(collections, "run_one", run_one)
+    monkeypatch.setattr(collections, "error_rows", error_rows)
+    monkeypatch.setattr(collections, "different_maps", different_maps)
+    monkeypatch.setattr(collections, "costs", lambda _: Costs(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
+    command = ["bench", "collection", str(tmp_path), "--out", str(tmp_path / "out"), "--points", "7", "--seed", "3"]
+    assert main([*command, "--runs", "star,one,two", "--json", "--quiet"]) == 0
+    assert json.loads(capsys.readouterr().out)["different_maps"] == {"two": 0}
+    assert compared == [("one", "two")]
+    assert measured == [("star", 7, 3), ("one", 7, 3)]
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [(["--runs", "one,ten"], "unknown run 'ten'"), (["--out", __file__], "cannot make this folder")],
+)
+def test_bench_refuses_what_it_cannot_do_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], extra: list[str], message: str
+) -> None:
+    assert main(["bench", "collection", str(tmp_path), "--out", str(tmp_path / "out"), *extra]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_tables() -> None:

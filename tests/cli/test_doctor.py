@@ -30,6 +30,7 @@ DEVICE: dict[str, Any] = {
     "double": False,
 }
 GOOD = {"function": "product", "error": 1e-7, "tolerance": 1e-4, "seconds": 0.5, "agrees": True}
+NO_NUMBER = {"function": "total", "error": None, "tolerance": 1e-4, "seconds": 0.5, "agrees": False}
 BAD = {"function": "nearest", "error": 0.5, "tolerance": 1e-4, "seconds": 0.5, "agrees": False}
 
 
@@ -75,6 +76,7 @@ def test_no_driver_names_the_install_command(
     ("checks", "message"),
     [
         ({"checks": [GOOD, BAD]}, "WRONG: nearest is off by 5.0e-01"),
+        ({"checks": [NO_NUMBER]}, "WRONG: total gives no number"),
         ({"error": "the driver crashed the process (signal 11)"}, "FAILED: the driver crashed"),
     ],
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,6 @@ from clalign.mesh.mesh import Mesh
 from clalign.options import Options
 
 FILES = {"target_of_source.txt", "source_of_target.txt", "result.npz", "result.json"}
-
-Match = Callable[..., Correspondence]
 
 
 @pytest.fixture

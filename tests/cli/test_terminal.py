@@ -8,7 +8,8 @@ import sys
 
 import pytest
 
-from clalign.cli.terminal import Progress, Terminal, bars, lines, table
+from clalign.cli.terminal import Terminal, bars, lines, table
+from clalign.matching.loop import Progress
 
 DRIVER = """
 from clalign.cli.terminal import Terminal

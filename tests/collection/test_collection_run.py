@@ -16,9 +16,13 @@ from collections_small import ARGUMENTS, OPTIONS, mean_error, write_shapes
 from numpy.typing import NDArray
 
 import clalign
+from clalign.collection import run
+from clalign.collection.cluster import Task
+from clalign.collection.members import Member
 from clalign.collection.result import Collection
 from clalign.collection.run import match_collection
-from clalign.collection.store import PairRow, Store
+from clalign.collection.store import PairMaps, PairRow, Store
+from clalign.collection.work import Settings
 from clalign.errors import OptionError, ResultError
 
 PROGRAM = [sys.executable, "-m", "clalign.cli.main", "collection"]
@@ -149,6 +153,30 @@ def test_star_gives_all_maps_and_a_wrong_one_is_repaired(
     assert [names for names, row in rows.items() if row.kind == "repaired"] == [("s0", "s3")]
     assert (rows["s0", "s3"].network_error or 0.0) > 0.5
     assert mean_error(repaired.maps("s0", "s3").target_of_source, folder, ("s0", "s3"), numbers) < 0.1
+
+
+def test_a_derived_map_takes_the_place_of_a_match_that_failed_in_the_other_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def derived(_: object, tasks: list[Task]) -> Iterator[tuple[Task, PairRow]]:
+        yield from ((task, PairRow(task.arguments[0].name, task.arguments[1].name)) for task in tasks)
+
+    monkeypatch.setattr(run, "outcomes", derived)
+    settings = Settings(str(tmp_path), OPTIONS, str(tmp_path / "cache"), 0, "maps", 20)
+    job = run.Job([Member(name, f"{name}.off", "", 0) for name in "abc"], settings, lambda *_: None)
+    nothing = np.zeros(0, dtype=np.int32)
+    for pair in (("a", "c"), ("b", "c")):
+        job.direct[pair] = PairRow(*pair)
+        job.store.write_pair("pairs", job.direct[pair], "key", PairMaps(nothing, nothing, np.eye(5)))
+    job.direct["b", "a"] = PairRow("b", "a", status="failed", message="lost")
+    job.make_consistent(None, everything=True)
+    rows = job.finished().pairs
+    assert [(row.source, row.target, row.kind) for row in rows if row.ok] == [
+        ("a", "b", "derived"),
+        ("a", "c", "direct"),
+        ("b", "c", "direct"),
+    ]
+    assert len(rows) == 3
 
 
 def spoil(collection: Collection, source: str, target: str) -> None:

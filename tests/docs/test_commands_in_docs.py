@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from clalign.benchmark.study import STUDIES
 from clalign.cli.main import build_parser
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -41,7 +42,9 @@ def test_command_parses(page: str, line: str) -> None:
         with pytest.raises(SystemExit, match=r"^0$"):
             build_parser().parse_args(words)
     else:
-        assert callable(build_parser().parse_args(words).run)
+        args = build_parser().parse_args(words)
+        assert callable(args.run)
+        assert {name for name in getattr(args, "of", "").split(",") if name} <= set(STUDIES)
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if snippets(page)], ids=lambda page: page.name)

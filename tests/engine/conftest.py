@@ -20,20 +20,10 @@ Check = Callable[..., Any]
 
 
 @pytest.fixture(scope="session")
-def kernels(opencl: None) -> Kernels:
-    return Kernels(Device())
-
-
-@pytest.fixture(scope="session")
 def double_kernels(kernels: Kernels) -> Kernels:
     if not kernels.device.facts.double:
         pytest.skip(f"{kernels.device.facts.label} has no double precision")
     return Kernels(Device(precision="double"))
-
-
-@pytest.fixture
-def reference() -> Reference:
-    return Reference()
 
 
 @pytest.fixture

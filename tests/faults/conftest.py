@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import malformed
 import pytest
 import shapes
 from quick import QUICK, Run, Shown
@@ -44,6 +45,12 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     vertices, faces = shapes.bumpy_sphere(2)
     target = shapes.write_off(folder / "target.off", shapes.bent(vertices, 0.3), faces)
     return shapes.write_off(folder / "source.off", vertices, faces), target
+
+
+@pytest.fixture(scope="session")
+def collection(tmp_path_factory: pytest.TempPathFactory) -> dict[str, malformed.MalformedFile]:
+    """The files of every malformed mesh, by name."""
+    return {case.name: case for case in malformed.write_collection(tmp_path_factory.mktemp("malformed"))}
 
 
 @pytest.fixture

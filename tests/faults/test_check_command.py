@@ -15,11 +15,6 @@ from clalign.mesh.mesh import load_mesh
 from clalign.mesh.reading import read_mesh_file
 
 
-@pytest.fixture(scope="module")
-def collection(tmp_path_factory: pytest.TempPathFactory) -> dict[str, malformed.MalformedFile]:
-    return {case.name: case for case in malformed.write_collection(tmp_path_factory.mktemp("malformed"))}
-
-
 def test_every_verdict_is_that_of_loading(collection: dict[str, malformed.MalformedFile], run: Run) -> None:
     shown = run("check", *(case.path for case in collection.values()), "--json")
     assert (shown.status, shown.err) == (2, "")
@@ -56,6 +51,8 @@ def test_what_a_person_reads(collection: dict[str, malformed.MalformedFile], run
     shown = run("check", path)
     assert (shown.status, "one piece, 1 boundary, genus 0" in shown.out) == (0, True)
     shown = run("check", collection["fin"].path)
+    assert (shown.status, "cut there; faces that go straight on stay joined" in shown.out) == (0, True)
+    shown = run("check", collection["fin"].path, "--strict")
     assert shown.status == 2
     assert "not usable" in shown.out
     assert "refused  1 edge belongs to more than two faces" in shown.out
@@ -136,7 +133,7 @@ def test_force_replaces_both_files(run: Run, tmp_path: Path) -> None:
 
 
 def test_a_copy_with_little_of_the_area_is_warned_of(run: Run, tmp_path: Path) -> None:
-    """Nine spheres of radius 1 and one of radius 2 that is taken apart into faces: one small sphere is left."""
+    """Nine spheres of radius 1 and one of radius 2 that is taken apart into faces: the large sphere is left."""
     vertices, faces = malformed.sphere()
     apart = 2 * vertices[faces].reshape(-1, 3)
     spheres = [vertices + np.array([5 * number, 0, 0]) for number in range(1, 10)]
@@ -144,25 +141,22 @@ def test_a_copy_with_little_of_the_area_is_warned_of(run: Run, tmp_path: Path) -
     every_face.append(np.arange(faces.size).reshape(-1, 3) + 9 * len(vertices))
     path = tmp_path / "given.off"
     path.write_bytes(malformed.WRITERS["off"]((np.concatenate([*spheres, apart]), np.concatenate(every_face))))
-    shown = run("check", path, "--repair", tmp_path / "clean.ply")
+    shown = run("check", path, "--repair", tmp_path / "clean.ply", "--json")
     assert shown.status == 0
-    warning = "only 7.7 % of the area is left; look at it before use"
-    advice = ", or add --merge to join vertices at equal positions\n"
-    assert shown.err == f"warning: {tmp_path / 'clean.ply'}: {warning}{advice}"
-    merged = run("check", path, "--repair", tmp_path / "merged.ply", "--merge", "--json")
-    assert merged.err == f"warning: {tmp_path / 'merged.ply'}: only 31 % of the area is left; look at it before use\n"
-    assert json.loads(merged.out)["repaired"]["area_share"] == pytest.approx(4 / 13)
+    assert shown.err == f"warning: {tmp_path / 'clean.ply'}: only 31 % of the area is left; look at it before use\n"
+    assert json.loads(shown.out)["repaired"]["area_share"] == pytest.approx(4 / 13)
 
 
-def test_a_soup_of_triangles_is_told_its_cure(run: Run, tmp_path: Path) -> None:
+def test_a_soup_of_triangles_is_used_unless_read_strictly(run: Run, tmp_path: Path) -> None:
     vertices, faces = malformed.sphere()
     path = tmp_path / "soup.off"
     soup = vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)
     path.write_bytes(malformed.WRITERS["off"](soup))
-    shown = run("check", path, "--repair", tmp_path / "clean.ply")
-    assert shown.status == 2
-    assert shown.err.endswith("; add --merge to join vertices at equal positions\n")
-    assert run("check", path, "--repair", tmp_path / "clean.ply", "--merge").status == 0
+    shown = run("check", path)
+    assert (shown.status, "162 vertices, 320 triangles" in shown.out) == (0, True)
+    shown = run("check", path, "--strict")
+    assert (shown.status, "320 separate pieces" in shown.out) == (2, True)
+    assert "add `--merge` to join vertices at equal positions" in shown.out
 
 
 def test_merging_closes_a_seam(collection: dict[str, malformed.MalformedFile], run: Run, tmp_path: Path) -> None:

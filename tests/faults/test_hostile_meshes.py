@@ -22,11 +22,6 @@ CASES = malformed.case_names()
 PROCESSES = ["Möbius strip", "truncated-binary.ply", "ünïcode – 形 😀.off"]
 
 
-@pytest.fixture(scope="module")
-def collection(tmp_path_factory: pytest.TempPathFactory) -> dict[str, malformed.MalformedFile]:
-    return {case.name: case for case in malformed.write_collection(tmp_path_factory.mktemp("malformed"))}
-
-
 def test_the_names_are_all(collection: dict[str, malformed.MalformedFile]) -> None:
     assert list(collection) == CASES
 

@@ -204,7 +204,6 @@ RACER = """
 import sys
 import numpy as np
 from clalign.geometry.cache import ShapeCache, content_key
-from clalign.storage.files import cache_folder
 cache = ShapeCache(sys.argv[1], limit_bytes=400_000)
 def whole(number, found):
     return found is not None and found["values"].shape == (20_000,) and bool((found["values"] == number).all())

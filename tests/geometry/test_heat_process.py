@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -300,6 +301,22 @@ def test_an_interrupt_during_preparation_ends_the_process(monkeypatch: pytest.Mo
         shape.prepare_pair(mesh, mesh, Options())
     assert numbers
     assert all(gone(number) for number in numbers)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_process_ends_with_its_input(bumpy: Surface, share: float) -> None:
+    """So that none outlives a program that is killed before it has sent everything, or before it gets the answer."""
+    request = pickle.dumps((bumpy, 6, 2))
+    with heat_process._started() as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            process.stdout.close()
+            process.stdin.write(request[: int(share * len(request))])
+            process.stdin.close()
+            assert process.wait(60) > 0
+        finally:
+            process.kill()
 
 
 def test_what_the_process_imports() -> None:

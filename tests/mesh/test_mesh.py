@@ -66,7 +66,7 @@ def test_dropped_vertices_keep_the_numbers_of_the_others() -> None:
     mesh = mesh_from_arrays(spread, place[faces])
     assert (mesh.n_vertices, mesh.file_count) == (n, 2 * n)
     np.testing.assert_array_equal(mesh.file_index, place)
-    np.testing.assert_array_equal(mesh.vertex_of_file(), np.where(np.arange(2 * n) % 2, np.arange(2 * n) // 2, -1))
+    np.testing.assert_array_equal(mesh.vertex_of_file, np.where(np.arange(2 * n) % 2, np.arange(2 * n) // 2, -1))
     np.testing.assert_array_equal(mesh.file_faces, place[faces])
     assert mesh.notes == (
         f"{n} vertices are in no face (vertices 0, 2, 4, 6, 8, …): left out, without a match (-1 in the maps)",

@@ -24,7 +24,7 @@ from clalign.maps.functional_maps import PointMaps
 from clalign.options import Options
 from clalign.presentation.curves import new_figure
 from clalign.presentation.figures.eigenfunctions import draw_eigenfunctions, draw_pair_rotation, draw_variants
-from clalign.presentation.figures.gallery import PLANS
+from clalign.presentation.figures.gallery import PLANS, Subject
 from clalign.presentation.figures.maps import draw_error_curves, draw_matched_colours, draw_mirrored
 from clalign.presentation.figures.sheet import AFTER, BEFORE, Drawing, panel_sheet, save_drawing
 from clalign.presentation.figures.spectral import draw_funnel, draw_spectral_errors, running_mean
@@ -231,6 +231,7 @@ def test_command_without_a_truth(folder: Path, capsys: pytest.CaptureFixture[str
         (["--which", "1", "--set", "seed"], "GROUP.NAME=VALUE"),
         (["--which", "1", "--set", "seed=3"], "--set changes nothing of a result that is there"),
         (["--which", "1", "--height", "3"], "--height must be at least 20"),
+        (["--which", "1", "--mirror", "mirror.txt"], "--mirror is of the points of a truth"),
     ],
 )
 def test_command_says_what_is_wrong(
@@ -259,6 +260,19 @@ def test_command_takes_one_result_or_two_meshes(folder: Path, capsys: pytest.Cap
     assert "a pair is named by two meshes" in capsys.readouterr().err
     assert main(["figures", "a", "b", "c"]) == 2
     assert "not 3 paths" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("more", [["--truth", "identity"], ["--mirror", "mirror.txt"]])
+def test_the_bundled_pair_takes_no_other_truth(capsys: pytest.CaptureFixture[str], more: list[str]) -> None:
+    assert main(["figures", "--which", "1", *more]) == 2
+    assert "the bundled pair has its own truth" in capsys.readouterr().err
+
+
+def test_errors_are_those_of_the_points_drawn_by_the_seed(small: Correspondence) -> None:
+    pair = LoadedPair("pair", small.source, small.target, Truth.identity(643), None)
+    subjects = [Subject(pair, lambda _: small, seed=seed) for seed in (0, 3)]
+    points = [subject.evaluated({"a": small})["a"].points for subject in subjects]
+    assert not np.array_equal(*points)
 
 
 def test_draw_mirrored_and_matched_do_without_errors(small: Correspondence, tmp_path: Path) -> None:

@@ -10,8 +10,6 @@ import shapes
 
 from clalign.presentation.raster import png_bytes, rasterise, write_png
 
-WHITE = (1.0, 1.0, 1.0)
-
 
 def _square(low: float, high: float, depth: float) -> tuple[np.ndarray, np.ndarray]:
     vertices = np.array([[low, low, depth], [high, low, depth], [high, high, depth], [low, high, depth]])

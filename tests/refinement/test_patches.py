@@ -19,14 +19,9 @@ PATCHES = 12
 
 
 @pytest.fixture
-def backend() -> Reference:
-    return Reference()
-
-
-@pytest.fixture
-def bases(middle: PreparedPair, backend: Reference) -> tuple[SampledBasis, SampledBasis]:
+def bases(middle: PreparedPair, reference: Reference) -> tuple[SampledBasis, SampledBasis]:
     source, target = (
-        SampledBasis.of(shape.scale_invariant, shape.samples(1000), shape.order, backend) for shape in middle[:2]
+        SampledBasis.of(shape.scale_invariant, shape.samples(1000), shape.order, reference) for shape in middle[:2]
     )
     return source, target
 
@@ -68,15 +63,16 @@ def test_every_patch_comes_from_the_candidate_that_is_right_there(
 
 
 def test_patchwise_maps_sharpen_a_coarse_map(
-    middle: PreparedPair, backend: Reference, rng: np.random.Generator
+    middle: PreparedPair, reference: Reference, rng: np.random.Generator
 ) -> None:
     source, target, truth = middle
     coarse = true_functional_map(source.basis, target.basis, truth.source_of_target, 12)
     coarse += 0.1 * rng.normal(size=coarse.shape)
-    maps = patchwise_maps(source, target, (source.scale_invariant, target.scale_invariant), coarse, 60, RULES, backend)
+    invariant = source.scale_invariant, target.scale_invariant
+    maps = patchwise_maps(source, target, invariant, coarse, 60, RULES, reference)
     distances = all_pairs(target.mesh)
     # Neighbouring vertices are about 0.04 apart.
     assert distances[maps.target_of_source, truth.target_of_source].mean() < 0.01
     assert (maps.source_of_target == truth.source_of_target).mean() > 0.8
-    again = patchwise_maps(source, target, (source.scale_invariant, target.scale_invariant), coarse, 60, RULES, backend)
+    again = patchwise_maps(source, target, invariant, coarse, 60, RULES, reference)
     np.testing.assert_array_equal(again.target_of_source, maps.target_of_source)

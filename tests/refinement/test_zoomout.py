@@ -23,11 +23,6 @@ def distances(middle: PreparedPair) -> NDArray[np.float64]:
     return all_pairs(middle.target.mesh)
 
 
-@pytest.fixture
-def backend() -> Reference:
-    return Reference()
-
-
 def disturbed(truth: PointMaps, share: float, rng: np.random.Generator) -> PointMaps:
     """Send a share of the vertices of each side anywhere."""
 
@@ -38,16 +33,16 @@ def disturbed(truth: PointMaps, share: float, rng: np.random.Generator) -> Point
 
 
 def test_up_sampling_sharpens_a_coarse_map(
-    middle: PreparedPair, distances: NDArray[np.float64], backend: Reference, rng: np.random.Generator
+    middle: PreparedPair, distances: NDArray[np.float64], reference: Reference, rng: np.random.Generator
 ) -> None:
     source, target, truth = middle
     coarse = true_functional_map(source.basis, target.basis, truth.source_of_target, 10)
     coarse += 0.2 * rng.normal(size=coarse.shape)
-    fine = grown_map(source, target, coarse, 60, ZoomOutSchedule(step=10), RULES, backend)
+    fine = grown_map(source, target, coarse, 60, ZoomOutSchedule(step=10), RULES, reference)
     assert fine.shape == (60, 60)
 
     def error(functional: NDArray[np.float64]) -> float:
-        found = vertex_maps(source, target, functional, backend).target_of_source
+        found = vertex_maps(source, target, functional, reference).target_of_source
         return float(distances[found, truth.target_of_source].mean())
 
     # Neighbouring vertices are about 0.04 apart.
@@ -55,33 +50,33 @@ def test_up_sampling_sharpens_a_coarse_map(
     assert error(fine) < 0.01
 
 
-def test_up_sampling_stops_at_what_a_small_shape_has(middle: PreparedPair, backend: Reference) -> None:
+def test_up_sampling_stops_at_what_a_small_shape_has(middle: PreparedPair, reference: Reference) -> None:
     source, target, truth = middle
     coarse = true_functional_map(source.basis, target.basis, truth.source_of_target, 10)
-    assert grown_map(source, target, coarse, 500, RULES.schedules[0], RULES, backend).shape == (60, 60)
-    assert grown_map(source, target, coarse, 35, RULES.schedules[0], RULES, backend).shape == (35, 35)
+    assert grown_map(source, target, coarse, 500, RULES.schedules[0], RULES, reference).shape == (60, 60)
+    assert grown_map(source, target, coarse, 35, RULES.schedules[0], RULES, reference).shape == (35, 35)
 
 
-def test_the_schedule_that_scores_best_is_taken(middle: PreparedPair, backend: Reference) -> None:
+def test_the_schedule_that_scores_best_is_taken(middle: PreparedPair, reference: Reference) -> None:
     """One that keeps three functions and listens to curvature alone is wrong, wherever it stands in the list."""
     source, target, truth = middle
     coarse = true_functional_map(source.basis, target.basis, truth.source_of_target, 12)
     good, bad = ZoomOutSchedule(None, 20), ZoomOutSchedule(3, 40, 1e4)
-    expected = grown_map(source, target, coarse, 60, good, RULES, backend)
+    expected = grown_map(source, target, coarse, 60, good, RULES, reference)
     for order in ((good, bad), (bad, good)):
         rules = Rules(refinement=replace(RULES, schedules=order))
-        np.testing.assert_array_equal(best_grown_map(source, target, coarse, 60, rules, backend), expected)
+        np.testing.assert_array_equal(best_grown_map(source, target, coarse, 60, rules, reference), expected)
 
 
 def test_two_way_steps_repair_a_disturbed_map(
-    middle: PreparedPair, distances: NDArray[np.float64], backend: Reference, rng: np.random.Generator
+    middle: PreparedPair, distances: NDArray[np.float64], reference: Reference, rng: np.random.Generator
 ) -> None:
     source, target, truth = middle
     maps = disturbed(truth, 0.3, rng)
-    spectra = BoundSpectra.of(source.scale_invariant, target.scale_invariant, backend)
+    spectra = BoundSpectra.of(source.scale_invariant, target.scale_invariant, reference)
     orders = source.order, target.order
-    repaired = two_way_steps(spectra, maps, 2, orders, backend)
+    repaired = two_way_steps(spectra, maps, 2, orders, reference)
     assert distances[maps.target_of_source, truth.target_of_source].mean() > 0.1
     assert distances[repaired.target_of_source, truth.target_of_source].mean() < 0.01
     assert (repaired.source_of_target == truth.source_of_target).mean() > 0.8
-    assert two_way_steps(spectra, maps, 0, orders, backend) is maps
+    assert two_way_steps(spectra, maps, 0, orders, reference) is maps

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from clalign.errors import ResultError
-from clalign.storage.files import KERNEL_VARIABLE, replaced_file, size_text
+from clalign.storage.files import KERNEL_VARIABLE, duration_text, make_folder, replaced_file, size_text, write_text
 from clalign.storage.rows import RowFile, append_rows, complete_rows
 
 
@@ -39,6 +39,16 @@ def test_a_file_is_replaced_when_the_new_one_is_complete(tmp_path: Path) -> None
         raise KeyboardInterrupt
     assert path.read_bytes() == b"second"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
+    make_folder(tmp_path / "a" / "b")
+    write_text(tmp_path / "a" / "b" / "text.md", "one\r\nξ\n")
+    assert (tmp_path / "a" / "b" / "text.md").read_bytes() == "one\r\nξ\n".encode()
+    with pytest.raises(ResultError, match=r"gone/text\.md: cannot be written"):
+        write_text(tmp_path / "gone" / "text.md", "")
+    with pytest.raises(ResultError, match=r"text\.md/c: cannot make this folder"):
+        make_folder(tmp_path / "a" / "b" / "text.md" / "c")
 
 
 def test_rows_of_every_type_survive_the_file(tmp_path: Path) -> None:
@@ -74,6 +84,10 @@ def test_a_table_of_another_kind_is_refused(tmp_path: Path) -> None:
     (tmp_path / "rows.csv").write_text("x,y\n1,2\n")
     with pytest.raises(ResultError, match=r"rows\.csv: was not written by this version"):
         RowFile(tmp_path / "rows.csv", Measured).read()
+
+
+def test_durations_are_no_finer_than_an_estimate() -> None:
+    assert [duration_text(seconds) for seconds in (0.2, 42, 600, 9000)] == ["5 s", "40 s", "10 min", "2.5 h"]
 
 
 def test_sizes_are_written_as_people_read_them() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,7 +13,7 @@ from clalign.benchmark.methods import NAMED, named_methods, split_list
 from clalign.benchmark.study import STUDIES, methods_of, study_of, study_table
 from clalign.cli.bench.common import add_option_arguments, add_output_arguments
 from clalign.cli.match import option_changes
-from clalign.cli.terminal import Terminal
+from clalign.cli.terminal import EXIT_INTERRUPTED, Terminal
 from clalign.errors import InputError, OptionError
 from clalign.options import Options
 from clalign.storage.files import write_text
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from clalign.benchmark.methods import Method
     from clalign.benchmark.records import Record
     from clalign.benchmark.runner import Measurement, Run
-
-EXIT_INTERRUPTED = 130
 
 _EPILOG = """\
 The folder DIR gets pairs.csv (a row a pair, written as soon as it is known), curves.csv, summary.json, summary.md and
@@ -109,19 +108,18 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _report(finished: Run, args: argparse.Namespace, terminal: Terminal) -> int:
-    from clalign.benchmark.table import SHORT_COLUMNS, as_json, failures, markdown, summarise, update_file
+    from clalign.benchmark.table import SHORT_COLUMNS, as_plain, failures, markdown, summarise, update_file
 
     summaries = summarise(finished.records)
     text = markdown(summaries)
-    document = as_json(summaries, finished.problems)
+    document = as_plain(summaries, finished.problems)
     write_text(args.out / "summary.md", text + "\n")
-    (args.out / "summary.json").write_text(document, encoding="utf-8")
+    write_text(args.out / "summary.json", json.dumps(document, indent=1) + "\n")
     for failure in failures(finished.records):
         terminal.warn(failure)
     terminal.say(text)
     terminal.say("mean, median and worst pair: mean geodesic error x 100 / sqrt(area)")
-    if args.json:
-        print(document, end="")
+    terminal.document(document)
     _draw_curves(finished.records, args.out, terminal)
     for page in args.update:
         update_file(page, args.section or args.suite, text, markdown(summaries, SHORT_COLUMNS))

@@ -6,12 +6,16 @@ import argparse
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from clalign.cli.bench.common import add_option_arguments, add_output_arguments
 from clalign.cli.match import option_changes
 from clalign.cli.terminal import Terminal
 from clalign.options import Options
-from clalign.storage.files import write_text
+from clalign.storage.files import make_folder, write_text
+
+if TYPE_CHECKING:
+    from clalign.collection.result import Collection
 
 _DESCRIPTION = """\
 Match all pairs of a folder of shapes with one local worker, with two, and with two workers of a scheduler in other
@@ -47,38 +51,41 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Make the runs and write the tables; 1 when maps differ between runs or a pair has none."""
-    from clalign.benchmark.collections import costs, different_maps, error_rows, errors_table, run_one, times_table
+    from clalign.benchmark import collections
     from clalign.benchmark.table import update_file
 
     options = Options.preset(args.preset).replace(option_changes(args))
+    names = collections.run_names(args.runs)
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
-    args.out.mkdir(parents=True, exist_ok=True)
-    times, errors, differing, first, failures = [], [], {}, None, 0
-    for name in [word.strip() for word in args.runs.split(",")]:
+    make_folder(args.out)
+    made: dict[str, Collection] = {}
+    times, errors, failures = [], [], 0
+    # Of the runs that match all pairs, the maps of the first are measured, and those of the others compared with them.
+    first = next((name for name in names if name not in collections.FEW_PAIRS), None)
+    for name in names:
         terminal.note(f"run: {name}")
         with terminal.progress() as progress:
-            collection, seconds = run_one(name, args.path, args.out, options, progress)
+            made[name], seconds = collections.run_one(name, args.path, args.out, options, progress)
         times.append(seconds)
-        failures += len(collection.failures)
-        for failure in collection.failures:
+        failures += len(made[name].failures)
+        for failure in made[name].failures:
             terminal.warn(f"{name}: {failure}")
-        if name in ("star", "tree") or first is None:
-            errors += error_rows(name, collection, args.points)
-        if first is None:
-            first = collection
-        elif name not in ("star", "tree"):
-            differing[name] = len(different_maps(first, collection))
-    tables = [times_table(times, differing), errors_table(errors)]
-    if first is not None:
-        tables.append(costs(first).table())
-    text = "\n\n".join(tables)
+        if name == first or name in collections.FEW_PAIRS:
+            errors += collections.error_rows(name, made[name], args.points, args.seed)
+    differing = {
+        name: len(collections.different_maps(made[first], made[name]))
+        for name in made
+        if first is not None and name != first and name not in collections.FEW_PAIRS
+    }
+    costs = collections.costs(made[first or names[0]])
+    text = "\n\n".join([collections.times_table(times, differing), collections.errors_table(errors), costs.table()])
     document = {
         "times": [asdict(entry) for entry in times],
         "errors": [asdict(entry) for entry in errors],
         "different_maps": differing,
     }
     write_text(args.out / "summary.md", text + "\n")
-    (args.out / "summary.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_text(args.out / "summary.json", json.dumps(document, indent=1) + "\n")
     terminal.say(text)
     terminal.say("errors: mean geodesic error of each map x 100 / sqrt(area)")
     terminal.document(document)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.cli.terminal import Terminal
-from clalign.errors import ResultError
 from clalign.storage.files import write_text
 
 if TYPE_CHECKING:
@@ -77,9 +76,6 @@ def deliver(
     terminal.say(text)
     terminal.document(whole)
     if args.out is not None:
-        try:
-            write_text(args.out, json.dumps(whole, indent=2, ensure_ascii=False) + "\n")
-        except OSError as error:
-            raise ResultError(f"{args.out}: cannot be written ({error.strerror})") from error
+        write_text(args.out, json.dumps(whole, indent=2, ensure_ascii=False) + "\n")
     for page in args.update:
         update_file(page, args.section, text, short)

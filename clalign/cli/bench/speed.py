@@ -12,8 +12,10 @@ from clalign.cli.bench.common import add_option_arguments, add_output_arguments,
 from clalign.cli.match import option_changes
 from clalign.cli.terminal import Terminal
 from clalign.data import bundled_pair
-from clalign.errors import OptionError, ResultError
+from clalign.errors import OptionError
 from clalign.options import Options
+from clalign.presentation import PAGE_FILE, PICTURE_FILE
+from clalign.storage.files import write_text
 
 _KERNELS = """\
 Time every kernel beside numpy doing the same work (a matrix product of as many operations for the fused ones) and
@@ -237,10 +239,7 @@ def run_forecast(args: argparse.Namespace) -> int:
 
     found = measurements(draw, watch)
     text = json.dumps(table(found, machine), indent=1)
-    try:
-        out.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ResultError(f"{out}: cannot be written ({error.strerror})") from error
+    write_text(out, text + "\n")
     terminal.say(f"wrote {out}")
     return 0
 
@@ -250,5 +249,5 @@ def draw(result: Any, folder: Path) -> None:
     from clalign.presentation.picture import save_match_picture
     from clalign.presentation.report import write_report
 
-    save_match_picture(result, folder / "match.png")
-    write_report(result, folder / "report.html")
+    save_match_picture(result, folder / PICTURE_FILE)
+    write_report(result, folder / PAGE_FILE)

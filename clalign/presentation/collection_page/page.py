@@ -13,15 +13,15 @@ from urllib.parse import quote
 import numpy as np
 
 from clalign.collection.result import Collection
-from clalign.collection.store import PairRow
+from clalign.collection.store import PairRow, subfolder_of
 from clalign.correspondence import Correspondence
+from clalign.presentation import PAGE_FILE
 from clalign.presentation.collection_page.pictures import shape_pictures
 from clalign.presentation.html_page import write_page
 from clalign.presentation.raster import png_bytes, write_png
 from clalign.presentation.report import write_report
 from clalign.transfer.colours import RAMPS, amount_colours
 
-PAGE_FILE = "report.html"
 PICTURE_FOLDER = "pictures"
 MOST_CELLS = 100
 """Shapes up to which every pair has a cell of its own; a larger table would take a browser too long."""
@@ -116,7 +116,7 @@ def _facts(collection: Collection) -> dict[str, str]:
 
 def _page_link(collection: Collection, row: PairRow) -> str | None:
     """Return the address of a pair's page, relative to the collection, or None where there is none."""
-    parts = ("pairs" if row.kind == "direct" else "consistent", row.source, row.target, PAGE_FILE)
+    parts = (subfolder_of(row.kind), row.source, row.target, PAGE_FILE)
     return "/".join(map(quote, parts)) if collection.folder.joinpath(*parts).is_file() else None
 
 

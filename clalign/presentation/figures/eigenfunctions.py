@@ -65,10 +65,7 @@ def draw_pair_rotation(
     OptionError
         There is no such pair.
     """
-    true = spectral.true_rotation(
-        spectral.as_computed(result.source_scale_invariant), result.target_scale_invariant, maps.source_of_target
-    )
-    true = true[: len(result.rotation), : len(result.rotation)]
+    true = spectral.rotation_of_truth(result, maps)
     support = spectral.support_areas(result.target_scale_invariant.functions, result.target_basis.mass)
     place = spectral.most_rotated_pair(true, support) if first is None else first - 1
     if not 0 <= place < len(result.rotation) - 1:

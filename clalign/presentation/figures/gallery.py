@@ -48,6 +48,7 @@ class Subject:
     pair_index : number of the first eigenfunction of Fig. 2; None takes the pair that is turned most.
     height : of a panel of one shape, in pixels.
     comparable : the match by the default method is one by the default options.
+    seed : of the points that are measured.
     """
 
     pair: LoadedPair
@@ -57,6 +58,7 @@ class Subject:
     pair_index: int | None = None
     height: int = PANEL_HEIGHT
     comparable: bool = True
+    seed: int = 0
 
     @property
     def result(self) -> Correspondence:
@@ -83,7 +85,10 @@ class Subject:
         if not self.has_truth:
             return {}
         pair = self.pair
-        return {label: evaluate(r, pair.truth, mirrored=pair.mirrored) for label, r in results.items()}
+        return {
+            label: evaluate(result, pair.truth, mirrored=pair.mirrored, seed=self.seed)
+            for label, result in results.items()
+        }
 
 
 @dataclass(frozen=True)

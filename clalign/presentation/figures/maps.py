@@ -76,10 +76,11 @@ def draw_mirrored(
     view = PairView.of(good)
     for result in results.values():
         panels = [*view.map_panels(result, height)]
+        aligned = result.source_aligned, result.target_aligned
         background = AFTER if result is good else BEFORE
         for number in _MIRROR_SHOWN:
             index = min(number, len(result.rotation)) - 1
-            panels += view.function_panels((result.source_aligned, result.target_aligned), index, height, background)
+            panels += view.function_panels(aligned, index, height, background)
         grid.append(panels)
     figure = panel_sheet(
         grid,

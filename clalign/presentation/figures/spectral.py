@@ -23,8 +23,7 @@ def draw_funnel(result: Correspondence, maps: PointMaps) -> Drawing:
     from matplotlib.colors import PowerNorm
 
     count = len(result.rotation)
-    source = spectral.as_computed(result.source_scale_invariant)[:, :count]
-    true = spectral.true_rotation(source, result.target_scale_invariant, maps.source_of_target)
+    true = spectral.rotation_of_truth(result, maps)
     recovered = spectral.recovered_rotation(result)
     band = funnel_band(count, result.options.alignment)
     mask = band_mask(band)

@@ -14,7 +14,7 @@ from clalign.evaluation.errors import Evaluation
 from clalign.presentation.camera import Up
 from clalign.presentation.picture import pair_views
 from clalign.transfer.colours import RAMPS, UNMATCHED, position_colours
-from clalign.transfer.surface_map import SurfaceMap, surface_map, vertex_map
+from clalign.transfer.surface_map import SurfaceMap, surface_map
 
 _FUNCTION_BYTES = 8_000_000
 _MOST_FUNCTIONS = 120
@@ -77,10 +77,10 @@ def _add_maps(correspondence: Correspondence, arrays: dict[str, NDArray[np.gener
     every_map: tuple[Correspondence | Alternative, ...] = (correspondence, *correspondence.alternatives)
     described = []
     for rank, maps in enumerate(every_map):
-        forward = vertex_map(maps.target_of_source, source, target)
-        backward = vertex_map(maps.source_of_target, target, source)
-        arrays[f"map-{rank}-target-of-source"] = forward.vertex.astype(np.int32)
-        arrays[f"map-{rank}-source-of-target"] = backward.vertex.astype(np.int32)
+        forward = source.map_from_file(target, maps.target_of_source)
+        backward = target.map_from_file(source, maps.source_of_target)
+        arrays[f"map-{rank}-target-of-source"] = forward.astype(np.int32)
+        arrays[f"map-{rank}-source-of-target"] = backward.astype(np.int32)
         described.append(
             {
                 "label": f"alternative {rank}" if rank else "the chosen map",
