@@ -138,10 +138,12 @@ def run_transfer(args: argparse.Namespace) -> int:
 
 def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
     from clalign.transfer import transfer
-    from clalign.transfer.value_files import read_values, write_values
+    from clalign.transfer.value_files import check_colours, read_values, write_values
 
     _, there = transfer.sides(correspondence, args.origin)
     values = read_values(args.file, whole=args.kind in ("labels", "landmarks"))
+    if args.kind == "colours":
+        check_colours(args.file, values)
     if args.kind == "labels":
         carried: Any = transfer.carry_labels(correspondence, values, origin=args.origin)
     elif args.kind == "landmarks":

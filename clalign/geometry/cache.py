@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.errors import OptionError
 from clalign.storage.files import cache_folder, replaced_file
 
 logger = logging.getLogger(__name__)
@@ -55,6 +56,16 @@ def content_key(kind: str, arrays: Mapping[str, NDArray[Any]], values: Mapping[s
         digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
         digest.update(array.data)
     return f"{kind}-{digest.hexdigest()[:KEY_DIGITS]}"
+
+
+def given_cache(cache: Any) -> ShapeCache | None:
+    """Return the cache of a call; OptionError, which says how to call, if it is something else."""
+    if cache is None or isinstance(cache, ShapeCache):
+        return cache
+    call = f"ShapeCache({os.fspath(cache)!r})" if isinstance(cache, str | os.PathLike) else "ShapeCache()"
+    raise OptionError(
+        f"cache must be a ShapeCache, not {type(cache).__name__}; pass {call} from clalign.geometry.cache"
+    )
 
 
 class ShapeCache:
