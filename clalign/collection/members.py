@@ -82,9 +82,13 @@ def _listed_files(listing: Path) -> list[Path]:
 
 def _lines(path: Path, problem: str) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        # Names in it may be no UTF-8, as those of files.
+        text = path.read_text(encoding="utf-8", errors="surrogateescape")
+    except OSError as error:
         raise ResultError(f"{path}: {problem} ({error})") from error
+    if "\0" in text:
+        raise ResultError(f"{path}: {problem} (it is no text)")
+    return text.splitlines()
 
 
 def _natural(text: str) -> tuple[tuple[int, int | str], ...]:

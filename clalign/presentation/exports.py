@@ -23,7 +23,7 @@ from clalign.mesh.writing import save_mesh
 from clalign.presentation.camera import Up, front_view
 from clalign.presentation.picture import pair_colours
 from clalign.presentation.raster import write_png
-from clalign.storage.files import text_bytes
+from clalign.storage.files import visible
 from clalign.transfer.colours import position_colours
 from clalign.transfer.outputs import keep_originals
 from clalign.transfer.surface_map import surface_map
@@ -155,7 +155,7 @@ def export_matlab(correspondence: Correspondence, folder: str | Path) -> list[Pa
             "si_evals": arrays[f"{side}_si_eigenvalues"][:, None],
             "si_evecs": arrays[f"{side}_si_functions"],
             "file_index": arrays[f"{side}_file_index"][:, None].astype(np.float64) + 1,
-            "name": text_bytes(getattr(correspondence, side).name).decode(),
+            "name": visible(getattr(correspondence, side).name),
         }
         for name, side in (("S1", "source"), ("S2", "target"))
     }

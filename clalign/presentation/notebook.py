@@ -8,7 +8,7 @@ import math
 from clalign.correspondence import Correspondence
 from clalign.presentation.html_page import rendered
 from clalign.presentation.picture import match_png
-from clalign.storage.files import text_bytes
+from clalign.storage.files import visible
 
 
 def notebook_html(correspondence: Correspondence) -> str:
@@ -25,7 +25,7 @@ def notebook_html(correspondence: Correspondence) -> str:
     rows += [("warning", text) for text in correspondence.warnings]
     picture = base64.b64encode(match_png(correspondence, height=360)).decode("ascii")
     page = rendered("notebook.html", source=source, target=target, rows=rows, picture=picture)
-    return text_bytes(page).decode()
+    return visible(page)
 
 
 def _known(text: str) -> str:

@@ -59,6 +59,11 @@ def text_bytes(text: str) -> bytes:
     return text.encode("utf-8", errors="backslashreplace")
 
 
+def visible(text: str) -> str:
+    """Return text as `text_bytes` writes it, for those who take nothing but text that has an encoding."""
+    return text_bytes(text).decode()
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file as `text_bytes`, with the line ends of `text`.
 

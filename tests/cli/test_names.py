@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import shapes
 from quick import device
@@ -19,8 +20,10 @@ from shapes import Pair
 import clalign
 from clalign.cli.main import main
 from clalign.correspondence import Correspondence
+from clalign.evaluation.errors import THRESHOLDS
 from clalign.mesh.mesh import Mesh
 from clalign.presentation import exports
+from clalign.presentation.curves import save_error_curves
 from clalign.presentation.notebook import notebook_html
 from clalign.storage.files import text_bytes, write_json
 from clalign.storage.rows import append_rows, complete_rows
@@ -84,6 +87,11 @@ def test_messages_show_the_name_in_any_locale(files: tuple[Path, Path], command:
 def test_a_missing_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["match", str(tmp_path / f"{LATIN}.off"), "b.off"]) == 2
     assert re.search(r"error: .*K\\udcf6rper\.off: no such file", capsys.readouterr().err)
+
+
+def test_a_curve_is_drawn_under_the_name(tmp_path: Path) -> None:
+    save_error_curves({LATIN: np.linspace(0.0, 1.0, len(THRESHOLDS))}, tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > 1000
 
 
 def test_documents_and_tables_read_back_the_same_name(tmp_path: Path) -> None:
