@@ -171,6 +171,8 @@ def claim_kernel_folder() -> None:
         ensure_driver_caches()
         named = os.environ.get(KERNEL_VARIABLE)
         root = Path(named) if named else cache_folder() / "kernels"
+        if not takes_files(root):
+            root = Path(tempfile.mkdtemp(prefix="clalign-kernels-"))
         number = 0
         while _kernel_lock is None:
             folder = root / f"worker-{number}"
