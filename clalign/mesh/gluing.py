@@ -89,8 +89,10 @@ def _gluing(surface: Surface, table: topology.EdgeTable) -> tuple[IntArray, IntA
             a, b, same_patch = a[same_patch], b[same_patch], same_patch[same_patch]
         if not len(a):
             break
-        straight = 4.0 * same_patch - np.einsum("ij,ij->i", away[a], away[b])
-        order = np.lexsort((-straight, table.edge_of_half_edge[a]))
+        # Two sheets that lie on each other go on equally straight; each is turned one way.
+        agreeing = table.forward[a] != table.forward[b]
+        fit = 4.0 * same_patch + agreeing - np.einsum("ij,ij->i", away[a], away[b])
+        order = np.lexsort((-fit, table.edge_of_half_edge[a]))
         best = order[np.unique(table.edge_of_half_edge[a[order]], return_index=True)[1]]
         firsts.append(a[best])
         seconds.append(b[best])

@@ -1,4 +1,4 @@
-"""``clalign bench humans|animals|faust|robustness|study``: errors of maps over all pairs of a data set."""
+"""``clalign bench humans|animals|faust|robustness|damaged|study``: errors of maps over all pairs of a data set."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ curve.png. Run the same command again to go on after an interruption; pairs that
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add ``humans``, ``animals``, ``faust`` and ``robustness``."""
+    """Add ``humans``, ``animals``, ``faust``, ``robustness`` and ``damaged``."""
     humans = _add(subparsers, "humans", "posed humans, or any folder in their layout")
     humans.add_argument("path", metavar="PATH", type=Path, help="folder of meshes, or of such folders")
     humans.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
@@ -55,6 +55,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         default="noise,half,rotated,times-1000,times-0.001",
         help="comma-separated; also: normal-noise, subdivided (default: %(default)s)",
     )
+    damaged = _add(subparsers, "damaged", "posed humans with damaged targets: as scans and exports are")
+    damaged.add_argument("path", metavar="PATH", type=Path, help="folder in the layout of the humans")
+    damaged.add_argument("--damages", metavar="NAMES", default="", help="comma-separated (default: all, and 'clean')")
+    damaged.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
 
 
 def _add(
@@ -82,6 +86,7 @@ def _add(
 
 def run(args: argparse.Namespace) -> int:
     """Run the pairs of a suite, show a line a pair, write the summary; 1 when a pair has no map."""
+    from clalign.benchmark.damaged import ALL_DAMAGES, damaged
     from clalign.benchmark.layouts import animals, faust, humans
     from clalign.benchmark.robustness import robustness
     from clalign.benchmark.runner import Measurement
@@ -92,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
         "animals": lambda: animals(args.path),
         "faust": lambda: faust(args.root, args.pairs),
         "robustness": lambda: robustness(args.path, split_list(args.alterations)),
+        "damaged": lambda: damaged(args.path, split_list(args.damages) if args.damages else ALL_DAMAGES, args.pairs),
     }[args.suite]()
     if args.distances not in METHODS:
         raise OptionError(f"--distances must be one of {', '.join(METHODS)}; got {args.distances!r}")
