@@ -137,10 +137,15 @@ def ensure_driver_caches() -> None:
         return
     os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
     if not os.environ.get(KERNEL_VARIABLE):
-        folder = tempfile.mkdtemp(prefix="clalign-kernels-")
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-        os.environ[KERNEL_VARIABLE] = folder
+        folder = os.environ[KERNEL_VARIABLE] = _passing_folder()
         logger.info("%s takes no files; kernels are compiled anew, in %s", caches, folder)
+
+
+def _passing_folder() -> str:
+    """Make a temporary folder that goes with the process."""
+    folder = tempfile.mkdtemp(prefix="clalign-kernels-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 def takes_files(folder: Path) -> bool:
@@ -165,14 +170,14 @@ def claim_kernel_folder() -> None:
         if _kernel_lock is not None:
             return
         if fcntl is None:
-            os.environ[KERNEL_VARIABLE] = tempfile.mkdtemp(prefix="clalign-kernels-")
+            os.environ[KERNEL_VARIABLE] = _passing_folder()
             _kernel_lock = -1
             return
         ensure_driver_caches()
         named = os.environ.get(KERNEL_VARIABLE)
         root = Path(named) if named else cache_folder() / "kernels"
         if not takes_files(root):
-            root = Path(tempfile.mkdtemp(prefix="clalign-kernels-"))
+            root = Path(_passing_folder())
         number = 0
         while _kernel_lock is None:
             folder = root / f"worker-{number}"

@@ -135,3 +135,4 @@ def test_a_worker_gets_a_temporary_kernel_folder_where_none_can_be_made(tmp_path
     folder = Path(done.stdout.strip())
     assert folder.name == "worker-0"
     assert folder.parent.name.startswith("clalign-kernels-")
+    assert not folder.parent.exists()
