@@ -25,6 +25,7 @@ from clalign.maps.point_maps import PointMaps, check_map, write_map
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.stored import mesh_arrays, mesh_facts, stored_mesh
 from clalign.options import Options
+from clalign.storage.files import write_json
 from clalign.storage.folders import atomic_folder, recover
 
 RESULT_FORMAT = 1
@@ -252,8 +253,7 @@ class Correspondence:
             np.savez(unfinished / ARRAYS_FILE, **arrays)
             if extra_files is not None:
                 extra_files(unfinished)
-            text = json.dumps(self.facts(), indent=2, ensure_ascii=False, allow_nan=False)
-            (unfinished / FACTS_FILE).write_text(text + "\n", encoding="utf-8")
+            write_json(unfinished / FACTS_FILE, self.facts())
 
     @staticmethod
     def load(folder: str | Path) -> Correspondence:

@@ -319,6 +319,42 @@ class Options:
         return replaced(Options(), translated(flattened(values), warn=False))
 
 
+def odd_sizes(options: Options, vertices: int) -> list[str]:
+    """Return what a user should know of sizes that cannot be had as they were given; `vertices` of the smaller mesh."""
+    spectrum, said = options.spectrum, []
+    if spectrum.refinement < spectrum.basis:
+        said.append(
+            f"spectrum.refinement={spectrum.refinement} is less than spectrum.basis={spectrum.basis}; "
+            f"{spectrum.basis} eigenfunctions are computed"
+        )
+    if spectrum.basis > vertices:
+        said.append(
+            f"spectrum.basis={spectrum.basis} is more than the {vertices} vertices of the smaller mesh; at most a "
+            "third as many eigenfunctions as vertices are used"
+        )
+    return said
+
+
+def given_options(options: Any) -> Options:
+    """Return the options of a call, the default ones for None.
+
+    Raises
+    ------
+    OptionError
+        It is something else, such as the name of a preset; the message says how to call.
+    """
+    if options is None:
+        return Options()
+    if isinstance(options, Options):
+        return options
+    call = "Options().replace({'seed': 1})"
+    if isinstance(options, str):
+        call = f"Options.preset({options!r})" if options in PRESETS else f"Options.preset({'fast'!r})"
+    elif isinstance(options, Mapping):
+        call = f"Options().replace({dict(options)!r})"
+    raise OptionError(f"options must be an Options, not {type(options).__name__}; pass {call}")
+
+
 PRESETS: dict[str, dict[str, Any]] = {
     "default": {},
     "fast": {

@@ -307,6 +307,13 @@ WRITERS: dict[str, Callable[[Arrays], bytes]] = {
 """Bytes of a mesh in every format that is read."""
 
 
+def _volume(arrays: Arrays) -> bytes:
+    """A tetrahedron as an unstructured grid of VTK."""
+    corners = " ".join(f"{value:.3f}" for value in arrays[0][:4].ravel())
+    head = "# vtk DataFile Version 3.0\na tetrahedron\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 4 float\n"
+    return f"{head}{corners}\nCELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n".encode()
+
+
 def broken_files() -> list[tuple[str, bytes, str]]:
     """File name, content, and what the message must contain, for files that are broken as files."""
     good = sphere()
@@ -362,6 +369,15 @@ def broken_files() -> list[tuple[str, bytes, str]]:
         ("letters.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf a b c\n", "face 0 contains 'a'"),
         ("short-face.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n", "face 0 is given as '3 0 1'"),
         ("other-format.off", content["ply"], "does not begin with OFF"),
+        ("comma.off", off[0] + off[1] + b"0,5 0,25 1,5\n" + b"".join(off[3:]), "with decimal points, not commas"),
+        ("prose.vtk", b"Dear reader,\nthis is a letter.\n", "no VTK header"),
+        ("prose.vtp", b"Dear reader,\nthis is a letter.\n", "no VTK file in XML"),
+        ("prose.glb", b"Dear reader,\nthis is a letter.\n", "no GLB file"),
+        ("prose.xyz", b"Dear reader,\nthis is a letter.\n", "points are given as three numbers a line"),
+        ("prose.off.gz", b"Dear reader,\nthis is a letter.\n", "no whole gzip file"),
+        ("volume.vtk", _volume(good), "extract its surface"),
+        ("lh.curv", b"\xff\xff\xff\0\0\0\xa2\0\0\x01\x40\0\0\0\x01" + bytes(648), "FreeSurfer file of values"),
+        ("truncated.white", b"\xff\xff\xfecreated\n\n\0\0\0\xa2\0\0\x01\x40" + bytes(100), "promises 162 vertices"),
         ("mesh.fbx", b"Kaydara FBX Binary", "unknown mesh format"),
         ("mesh", content["off"], "unknown mesh format"),
         ("ünïcode – 形 😀.off", b"", "ünïcode – 形 😀.off: the file is empty"),

@@ -131,7 +131,7 @@ def test_existing_result_needs_force(tmp_path: Path, true_correspondence: Corres
     folder = tmp_path / "result"
     true_correspondence.save(folder)
     changed = dataclasses.replace(true_correspondence, confidence=0.1)
-    with pytest.raises(ResultError, match="--force"):
+    with pytest.raises(ResultError, match=r"give --force \(in Python force=True\)"):
         changed.save(folder)
     assert Correspondence.load(folder).confidence == 0.75
     changed.save(folder, force=True)

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import operator
 import warnings
+from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 import pytest
@@ -14,8 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clalign.errors import ClalignWarning, OptionError
+from clalign.geometry.cache import ShapeCache, given_cache
+from clalign.matching.pair import match
 from clalign.option_values import leaves
-from clalign.options import PRESETS, Options
+from clalign.options import PRESETS, Options, given_options, odd_sizes
 
 KINDS = {name: kind for name, kind in leaves(Options()) if name != "seed"}
 NAMES = sorted(name for name in KINDS if name != "rules.refinement.schedules")
@@ -209,3 +212,43 @@ def test_rules_can_be_changed_down_to_schedules() -> None:
 def test_messages_of_rules(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(OptionError, match=message):
         Options().replace(changes)
+
+
+@pytest.mark.parametrize(
+    ("thing", "message"),
+    [
+        ("fast", r"options must be an Options, not str; pass Options.preset\('fast'\)"),
+        ("quick", r"not str; pass Options.preset\('fast'\)"),
+        ({"seed": 1}, r"not dict; pass Options\(\).replace\(\{'seed': 1\}\)"),
+        (5, r"not int; pass Options\(\).replace"),
+    ],
+)
+def test_what_is_given_in_place_of_options_is_told_how_to_be_given(thing: object, message: str) -> None:
+    faces = [[0, 1, 2]]
+    with pytest.raises(OptionError, match=message):
+        given_options(thing)
+    with pytest.raises(OptionError, match=message):
+        match((faces, faces), (faces, faces), thing)  # type: ignore[arg-type]
+
+
+def test_a_cache_is_an_object_and_no_folder(tmp_path: Path) -> None:
+    for thing, message in (
+        ("no-such-folder", r"cache must be a ShapeCache, not str; pass ShapeCache\('no-such-folder'\) from"),
+        (tmp_path, r"; pass ShapeCache\('/?.*'\) from clalign.geometry.cache"),
+        (True, r"not bool; pass ShapeCache\(\) from"),
+    ):
+        with pytest.raises(OptionError, match=message):
+            match("a.off", "b.off", cache=thing)  # type: ignore[arg-type]
+    assert given_cache(None) is None
+    assert given_cache(kept := ShapeCache(tmp_path)) is kept
+
+
+def test_sizes_that_cannot_be_had_are_said() -> None:
+    assert odd_sizes(Options(), 1000) == []
+    assert odd_sizes(Options.preset("paper"), 120) == []
+    small = Options().replace({"spectrum.refinement": 3})
+    assert odd_sizes(small, 1000) == [
+        "spectrum.refinement=3 is less than spectrum.basis=120; 120 eigenfunctions are computed"
+    ]
+    (large,) = odd_sizes(Options().replace({"spectrum.basis": 5000, "spectrum.refinement": 5000}), 1229)
+    assert large.startswith("spectrum.basis=5000 is more than the 1229 vertices of the smaller mesh")

@@ -11,9 +11,9 @@ from itertools import combinations, groupby
 from pathlib import Path
 
 from clalign.benchmark.pairs import TRUTH_SUFFIX, BenchmarkPair, Pair, TruthFiles, mirror_file, truth_file
-from clalign.collection.members import mesh_stem, read_pairs_file
+from clalign.collection.members import read_pairs_file
 from clalign.errors import ResultError
-from clalign.mesh.reading import SUFFIXES
+from clalign.mesh.reading import SUFFIXES, is_mesh_name, mesh_stem
 
 FAUST_MESHES = 100
 SHUFFLE_SEED = 20200
@@ -248,7 +248,7 @@ def _find_pairs_file(root: Path, pairs: Path) -> Path:
 
 def _meshes(folder: Path) -> dict[str, Path]:
     """Return the mesh files of a folder by stem, in natural order (pose 2 before pose 10)."""
-    return _by_stem(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    return _by_stem(path for path in folder.iterdir() if is_mesh_name(path) and path.is_file())
 
 
 def _first_meshes(folder: Path, suffix: str, pattern: str) -> dict[str, Path]:
@@ -258,4 +258,5 @@ def _first_meshes(folder: Path, suffix: str, pattern: str) -> dict[str, Path]:
 
 
 def _by_stem(files: Iterable[Path]) -> dict[str, Path]:
-    return {path.stem: path for path in sorted(files, key=lambda path: _class_and_number(path.stem))}
+    stems = sorted(((mesh_stem(path.name), path) for path in files), key=lambda pair: _class_and_number(pair[0]))
+    return dict(stems)

@@ -44,7 +44,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "check", help="examine meshes, and repair them", description=_DESCRIPTION, epilog=_EPILOG
     )
-    parser.add_argument("meshes", metavar="MESH", nargs="+", type=Path, help="OFF, PLY, OBJ or STL file")
+    parser.add_argument(
+        "meshes",
+        metavar="MESH",
+        nargs="+",
+        type=Path,
+        help="mesh file: OFF, PLY, OBJ, STL, glTF, 3MF, VTK, GIFTI, FreeSurfer",
+    )
     parser.add_argument("--repair", metavar="OUT", type=Path, help="write a cleaned copy of the one MESH")
     parser.add_argument("--merge", action="store_true", help="with --repair: first join vertices at equal positions")
     parser.add_argument("--strict", action="store_true", help="call a mesh unusable that is no surface as it stands")

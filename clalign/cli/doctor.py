@@ -111,7 +111,13 @@ def brief(message: str = "") -> list[str]:
         lines.append(f"devices: {found['error']}")
     if devices:
         return [*lines, "next: run 'clalign doctor', which tries the kernels on every device"]
-    findings = {"packages": {"pyopencl": pyopencl}, "kernels": _kernels(), "works": False, "devices": []}
+    findings: dict[str, Any] = {
+        "packages": {"pyopencl": pyopencl},
+        "kernels": _kernels(),
+        "works": False,
+        "devices": [],
+        "error": found.get("error"),
+    }
     return [*lines, f"next: {advice(findings, platform.system())[0]}; then 'clalign doctor'"]
 
 
@@ -134,8 +140,9 @@ def passed(answer: dict[str, Any]) -> bool:
 
 def vendor_files() -> dict[str, str]:
     """Return the driver files that OpenCL loaders read, each with the library that it names."""
-    folders = [Path(os.environ.get("OCL_ICD_VENDORS", SYSTEM_VENDORS))]
-    wheel = importlib.util.find_spec("pyopencl")
+    named = os.environ.get("OCL_ICD_VENDORS")
+    folders = [Path(named or SYSTEM_VENDORS)]
+    wheel = None if named else importlib.util.find_spec("pyopencl")
     if wheel is not None and wheel.origin is not None:
         folders.append(Path(wheel.origin).parent / ".libs")
     files = [folder] if (folder := folders[0]).suffix == ".icd" and folder.is_file() else []
@@ -158,6 +165,9 @@ def advice(findings: dict[str, Any], system: str) -> list[str]:
     if findings["works"]:
         return []
     if not findings["devices"]:
+        said = re.search(r"(?:(\w+) is set to .*; unset it|set (\w+) to a folder)", findings.get("error") or "")
+        if said:
+            return [f"unset {said[1]}" if said[1] else f"export {said[2]}=/a/folder/that/takes/files"]
         if "Linux" in system:
             return ['pip install "clalign[pocl]"', "or, on Debian and Ubuntu: apt install pocl-opencl-icd"]
         if system == "Darwin":

@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import difflib
 import errno
+import io
 import logging
 import os
 import sys
@@ -102,6 +103,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(words)
     debug = os.environ.get("CLALIGN_DEBUG", "") not in ("", "0")
     _set_up_messages(debug)
+    for stream in (sys.stdout, sys.stderr):
+        # Names of files may be no UTF-8, and the terminal's encoding may lack letters of a message.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         with plain_interrupts():
             status: int = args.run(args)

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 EVALUATION_FILE = "evaluation.json"
 
 _DESCRIPTION = """\
-Find for every vertex of SOURCE the corresponding vertex of TARGET, and the other way round. Meshes are OFF, PLY, OBJ
-or STL files of one body each. The result folder gets both maps as text (line i: 0-based vertex of the
-other file), result.npz, result.json, match.png and report.html (open it in a browser); it is written wholly or not at
-all.
+Find for every vertex of SOURCE the corresponding vertex of TARGET, and the other way round. Meshes are files
+of one body each: OFF, PLY, OBJ, STL, glTF, 3MF, VTK, GIFTI or FreeSurfer. The result folder gets both maps as text
+(line i: 0-based vertex of the other file), result.npz, result.json, match.png and report.html (open it in a browser);
+it is written wholly or not at all.
 """
 
 _EPILOG = """\

@@ -103,8 +103,9 @@ def add_transfer(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
         metavar="OUT",
         type=Path,
         required=True,
-        help="file to write; its suffix says how; an existing OUT is replaced",
+        help="file to write; its suffix says how",
     )
+    parser.add_argument("--force", action="store_true", help="replace OUT if it exists (never a mesh of the match)")
     parser.add_argument(
         "--from",
         dest="origin",
@@ -124,8 +125,10 @@ def add_transfer(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
 def run_transfer(args: argparse.Namespace) -> int:
     """Carry one file and write what comes out."""
     from clalign.correspondence import Correspondence
+    from clalign.transfer.outputs import check_outputs
 
     correspondence = Correspondence.load(args.result)
+    check_outputs(correspondence, [args.out], force=args.force)
     carry = {"texture": _texture, "deformation": _deformation}.get(args.kind, _values)
     with _writing(args.out):
         carry(correspondence, args)
@@ -135,10 +138,12 @@ def run_transfer(args: argparse.Namespace) -> int:
 
 def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
     from clalign.transfer import transfer
-    from clalign.transfer.value_files import read_values, write_values
+    from clalign.transfer.value_files import check_colours, read_values, write_values
 
     _, there = transfer.sides(correspondence, args.origin)
     values = read_values(args.file, whole=args.kind in ("labels", "landmarks"))
+    if args.kind == "colours":
+        check_colours(args.file, values)
     if args.kind == "labels":
         carried: Any = transfer.carry_labels(correspondence, values, origin=args.origin)
     elif args.kind == "landmarks":
@@ -211,8 +216,10 @@ def add_export(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--out",
         metavar="DIR",
         type=Path,
-        default=Path("."),
-        help="folder to write to (default: here); existing files of the names above are replaced",
+        help="folder to write to (default: RESULT itself)",
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="replace existing files of the names above (never the meshes of the match)"
     )
     parser.add_argument("--up", choices=("x", "y", "z"), help="axis of the target that points up, where it is drawn")
     parser.set_defaults(run=run_export)
@@ -221,9 +228,14 @@ def add_export(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run_export(args: argparse.Namespace) -> int:
     """Write every format that was asked for and print the files."""
     from clalign.correspondence import Correspondence
+    from clalign.presentation.exports import FILES
+    from clalign.transfer.outputs import check_outputs
 
     correspondence = Correspondence.load(args.result)
-    for name in dict.fromkeys(args.format):
+    args.out = args.result if args.out is None else args.out
+    formats = list(dict.fromkeys(args.format))
+    check_outputs(correspondence, [args.out / file for name in formats for file in FILES[name]], force=args.force)
+    for name in formats:
         with _writing(args.out):
             written = _export(correspondence, name, args)
         for path in written:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from clalign.errors import ClalignError, OptionError
 from clalign.geometry.workers import environment, process_environment, processor_count
+from clalign.storage.files import visible
 
 if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
@@ -177,8 +178,9 @@ def outcomes(
             task = next(source, None)
             if task is None:
                 return
-            future = client.submit(task.function, *task.arguments, key=task.name, pure=False)
-            running[task.name] = (task, future)
+            # Dask's messages hold text that has an encoding, which names of files need not have.
+            future = client.submit(task.function, *task.arguments, key=visible(task.name), pure=False)
+            running[str(future.key)] = (task, future)
             if kept is not None:
                 kept[task.name] = future
             completed.add(future)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clalign.collection.network import spanning_tree
 from clalign.errors import ResultError
-from clalign.mesh.reading import SUFFIXES
+from clalign.mesh.reading import SUFFIXES, is_mesh_name, mesh_stem
 
 DIGEST_LETTERS = 16
 
@@ -67,14 +67,14 @@ def read_members(shapes: str | Path | Sequence[str | Path]) -> tuple[Member, ...
 
 
 def _folder_files(folder: Path) -> list[Path]:
-    files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
+    files = [path for path in folder.iterdir() if is_mesh_name(path) and path.is_file()]
     if not files:
         raise ResultError(f"{folder}: no mesh file in this folder ({', '.join(SUFFIXES)})")
     return sorted(files, key=lambda path: (_natural(path.stem), path.suffix))
 
 
 def _listed_files(listing: Path) -> list[Path]:
-    if listing.suffix.lower() in SUFFIXES:
+    if is_mesh_name(listing):
         raise ResultError(f"{listing}: is one mesh file; give a folder of meshes or a text file that lists them")
     words = [line.partition("#")[0].strip() for line in _lines(listing, "is neither a folder nor a list of meshes")]
     return [listing.parent / word for word in words if word]
@@ -82,9 +82,13 @@ def _listed_files(listing: Path) -> list[Path]:
 
 def _lines(path: Path, problem: str) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        # Names in it may be no UTF-8, as those of files.
+        text = path.read_text(encoding="utf-8", errors="surrogateescape")
+    except OSError as error:
         raise ResultError(f"{path}: {problem} ({error})") from error
+    if "\0" in text:
+        raise ResultError(f"{path}: {problem} (it is no text)")
+    return text.splitlines()
 
 
 def _natural(text: str) -> tuple[tuple[int, int | str], ...]:
@@ -93,8 +97,11 @@ def _natural(text: str) -> tuple[tuple[int, int | str], ...]:
 
 
 def _names(paths: Sequence[Path], where: str) -> list[str]:
-    stems = Counter(path.stem for path in paths)
-    names = [path.stem if stems[path.stem] == 1 else f"{path.parent.name}-{path.name}" for path in paths]
+    stems = Counter(mesh_stem(path.name) for path in paths)
+    names = [
+        stem if stems[stem] == 1 else f"{path.parent.name}-{path.name}"
+        for path, stem in ((path, mesh_stem(path.name)) for path in paths)
+    ]
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         raise ResultError(f"{where}: {repeated[0]!r} is there twice; every mesh needs a name of its own")
@@ -178,8 +185,3 @@ def read_pairs_file(path: str | Path) -> list[tuple[str, str]]:
     if not names:
         raise ResultError(f"{path}: no pair in it")
     return names
-
-
-def mesh_stem(word: str) -> str:
-    """Return the name of a mesh that is given by its name or by its file."""
-    return Path(word).stem if Path(word).suffix.lower() in SUFFIXES else word

@@ -34,7 +34,7 @@ from clalign.errors import OptionError
 from clalign.geometry.workers import processor_count
 from clalign.maps.functional_maps import polar_factor
 from clalign.matching.loop import Progress
-from clalign.options import Options
+from clalign.options import Options, given_options
 from clalign.rules import CollectionRules
 from clalign.storage.files import duration_text
 
@@ -105,7 +105,7 @@ def match_collection(
     MemoryBudgetError
         The workers would need more memory than there is.
     """
-    chosen = Options() if options is None else options
+    chosen = given_options(options)
     if keep not in ("maps", "full") or consistency not in ("auto", "none", "repair", "all"):
         raise OptionError(
             f"keep is 'maps' or 'full' and consistency 'auto', 'none', 'repair' or 'all'; got {keep!r} and "

@@ -25,7 +25,7 @@ from clalign.collection.network import Network
 from clalign.errors import OptionError, ResultError
 from clalign.option_values import flattened
 from clalign.options import Options
-from clalign.storage.files import replaced_file
+from clalign.storage.files import replaced_file, text_bytes, write_json
 from clalign.storage.folders import atomic_folder, recover
 from clalign.storage.rows import RowFile
 
@@ -186,7 +186,7 @@ class Store:
             raise ResultError(f"{self.folder}: holds files that are not a collection; choose another --out")
         document = {"format": FORMAT, "options": options.as_dict(), **settings}
         with replaced_file(path) as stream:
-            stream.write((json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
+            stream.write(text_bytes(json.dumps(document, indent=2, ensure_ascii=False) + "\n"))
 
     def check_options(self, options: Options) -> None:
         """Refuse other options than those of the collection that is there.
@@ -301,8 +301,7 @@ class Store:
             np.savez(unfinished / MAPS_FILE, **vars(maps))
             if more is not None:
                 more(unfinished)
-            text = json.dumps({"key": key, "row": asdict(row)}, indent=1, ensure_ascii=False, allow_nan=False)
-            (unfinished / PAIR_FILE).write_text(text + "\n", encoding="utf-8")
+            write_json(unfinished / PAIR_FILE, {"key": key, "row": asdict(row)}, indent=1)
 
     def read_maps(self, subfolder: Subfolder, source: str, target: str) -> PairMaps:
         """Read the maps of a pair.

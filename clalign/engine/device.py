@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from clalign.engine.device_choice import DeviceFacts, choose_device, list_devices, wanted_device
 from clalign.engine.device_class import device_class
+from clalign.engine.loading import cache_problem, load, require_own_process
 from clalign.engine.programs import kernel_source
 from clalign.errors import DeviceError, MemoryBudgetError
 
@@ -119,9 +120,7 @@ class Device:
     def __init__(self, specification: str = "", precision: str = "single", memory: int = 0) -> None:
         self.facts = choose_device(wanted_device(specification), list_devices())
         require_precision(self.facts, precision)
-        import pyopencl as cl
-
-        self._cl = cl
+        self._cl = cl = load()
         handle = cl.get_platforms()[self.facts.platform].get_devices()[self.facts.device]
         self.dtype = np.dtype(np.float64 if precision == "double" else np.float32)
         self.constants = device_class(self.facts)
@@ -141,6 +140,7 @@ class Device:
     @contextmanager
     def _answering(self, doing: str) -> Iterator[None]:
         """Put a refusal of the driver into words: what was being done, and on which device."""
+        require_own_process()
         try:
             yield
         except self._cl.Error as error:
@@ -239,6 +239,7 @@ class Device:
             "V": self.panel_width // 2,
         }
         source = kernel_source(program, {**common, **defines})
+        require_own_process()
         start = time.perf_counter()
         try:
             with warnings.catch_warnings():
@@ -246,7 +247,8 @@ class Device:
                 warnings.simplefilter("ignore", self._cl.CompilerWarning)
                 built = self._cl.Program(self._context, source.text).build(list(source.options))
         except self._cl.Error as error:
-            raise DeviceError(f"the kernels of {program}.cl do not build on {self.facts.label}: {error}") from error
+            where = f"{self.facts.label}{cache_problem(self.facts.platform_name)}"
+            raise DeviceError(f"the kernels of {program}.cl do not build on {where}: {error}") from error
         elapsed = time.perf_counter() - start
         if elapsed > SLOW_BUILD:
             logger.info("built %s.cl in %.1f s", program, elapsed)
@@ -263,6 +265,7 @@ class Device:
         lengths = (size,) if isinstance(size, int) else size
         items = self.constants.work_group if work_group is None else work_group
         padded = (-(-lengths[0] // items) * items, *lengths[1:])
+        require_own_process()
         values = [value.buffer if isinstance(value, DeviceArray) else value for value in arguments]
         local = (items,) + (1,) * (len(lengths) - 1)
         # Thousands of launches a second: a context manager would be felt here.

@@ -16,11 +16,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from clalign.engine.loading import INSTALL_HINT, load, no_device, no_driver
 from clalign.errors import DeviceError
 
 DEVICE_VARIABLE = "CLALIGN_DEVICE"
 KINDS = ("gpu", "cpu", "accelerator")
-INSTALL_HINT = 'pip install "clalign[pocl]"'
 
 
 @dataclass(frozen=True)
@@ -61,21 +61,19 @@ def list_devices() -> tuple[DeviceFacts, ...]:
     Raises
     ------
     DeviceError
-        There is no loader, or no driver is registered with it.
+        There is no loader, no driver is registered with it, or this process was forked after OpenCL had been used.
     """
-    try:
-        import pyopencl as cl
-    except ImportError as error:
-        raise DeviceError(f"OpenCL cannot be loaded ({error}). Install a driver: {INSTALL_HINT}") from error
-    facts = []
+    cl = load()
+    facts, names = [], []
     try:
         for number, platform in enumerate(cl.get_platforms()):
+            names.append(platform.name)
             for index, device in enumerate(_devices_of(cl, platform)):
                 facts.append(_facts(cl, number, index, platform, device))
     except cl.Error as error:
-        raise DeviceError(f"no OpenCL driver is installed ({error}). For a CPU driver: {INSTALL_HINT}") from error
+        raise no_driver(error) from error
     if not facts:
-        raise DeviceError(f"OpenCL has a loader but no device. For a CPU driver: {INSTALL_HINT}")
+        raise no_device(names)
     return tuple(facts)
 
 

@@ -198,7 +198,11 @@ def read_index(path: str | Path, *, base: Base = 0, count: int | None = None) ->
         raise ResultError(f"{path}, line {line}: vertex {numbers[line - 1]} {wrong}")
     if count is not None and last - base >= count:
         line = int(np.argmax(numbers)) + 1
-        hint = "; it looks 1-based: say so" if base == 0 and first >= 1 and last == count else ""
+        hint = (
+            "; it looks 1-based: say --truth-base 1, or --base 1 for a map (in Python base=1)"
+            if base == 0 and first >= 1 and last == count
+            else ""
+        )
         raise ResultError(
             f"{path}, line {line}: vertex {last} is outside {base} … {count - 1 + base} of a mesh of {count} vertices, "
             f"read as {base}-based{hint}"

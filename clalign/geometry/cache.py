@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.errors import OptionError
 from clalign.storage.files import cache_folder, replaced_file
 
 logger = logging.getLogger(__name__)
@@ -57,6 +58,16 @@ def content_key(kind: str, arrays: Mapping[str, NDArray[Any]], values: Mapping[s
     return f"{kind}-{digest.hexdigest()[:KEY_DIGITS]}"
 
 
+def given_cache(cache: Any) -> ShapeCache | None:
+    """Return the cache of a call; OptionError, which says how to call, if it is something else."""
+    if cache is None or isinstance(cache, ShapeCache):
+        return cache
+    call = f"ShapeCache({os.fspath(cache)!r})" if isinstance(cache, str | os.PathLike) else "ShapeCache()"
+    raise OptionError(
+        f"cache must be a ShapeCache, not {type(cache).__name__}; pass {call} from clalign.geometry.cache"
+    )
+
+
 class ShapeCache:
     """A folder of arrays by key, of limited size; entries that were not used for longest go first.
 
@@ -69,6 +80,7 @@ class ShapeCache:
     def __init__(self, folder: str | Path | None = None, limit_bytes: int = DEFAULT_LIMIT) -> None:
         self.folder = cache_folder() if folder is None else Path(folder)
         self.limit_bytes = limit_bytes
+        self._told = False
 
     def get(self, key: str) -> dict[str, NDArray[Any]] | None:
         """Return the arrays stored under a key, or None.
@@ -106,7 +118,9 @@ class ShapeCache:
                 np.savez(stream, **contents)
             self._shrink()
         except OSError as error:
-            logger.warning("the cache in %s cannot be written (%s); going on without it", self.folder, error)
+            level = logging.DEBUG if self._told else logging.WARNING
+            logger.log(level, "the cache in %s cannot be written (%s); going on without it", self.folder, error)
+            self._told = True
             return False
         return True
 

@@ -10,14 +10,14 @@ from clalign.correspondence import Correspondence
 from clalign.ctrl_c import plain_interrupts
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
-from clalign.geometry.cache import ShapeCache
+from clalign.geometry.cache import ShapeCache, given_cache
 from clalign.geometry.shape import Shape, prepare_pair
 from clalign.geometry.workers import single_threaded_blas
 from clalign.matching.loop import Clock, Progress, run_stages
 from clalign.matching.result import correspondence, warn_of_doubts
 from clalign.matching.state import MatchState
 from clalign.mesh.mesh import as_mesh
-from clalign.options import Options
+from clalign.options import Options, given_options
 from clalign.resources import require_memory
 
 
@@ -47,6 +47,8 @@ def match(
 
     Raises
     ------
+    OptionError
+        `options` or `cache` is something else, such as a name.
     MeshError
         A mesh cannot be read or has a defect that the method cannot work with; the message says what to do.
     MemoryBudgetError
@@ -54,7 +56,7 @@ def match(
     DeviceError
         No usable OpenCL device (``engine.backend=reference`` needs none).
     """
-    chosen = Options() if options is None else options
+    chosen, cache = given_options(options), given_cache(cache)
     clock = Clock(progress)
     with clock.stage("read"):
         meshes = (

@@ -17,7 +17,7 @@ from clalign.geometry.shape import Shape
 from clalign.maps.file_maps import file_maps
 from clalign.matching.state import MatchState, required
 from clalign.mesh.mesh import Mesh
-from clalign.options import Options
+from clalign.options import Options, odd_sizes
 from clalign.rules import JudgementRules
 
 PACKAGE = __name__.partition(".")[0]
@@ -106,7 +106,8 @@ def _remarks(state: MatchState, options: Options) -> list[str]:
     elif state.found is not None and count < options.search.alternatives:
         found = f"only {count} different map{' was' if count == 1 else 's were'}"
         remarks.append(f"{found if count else 'no different map was'} found ({options.search.alternatives} asked for)")
-    return [*remarks, *mesh_notes(state.source.mesh, state.target.mesh)]
+    meshes = state.source.mesh, state.target.mesh
+    return [*remarks, *odd_sizes(options, min(mesh.n_vertices for mesh in meshes)), *mesh_notes(*meshes)]
 
 
 def mesh_notes(*meshes: Mesh) -> tuple[str, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from clalign.errors import MeshError
 from clalign.mesh.checks import diagnose
 from clalign.mesh.defects import Diagnosis, LoosePieces
-from clalign.mesh.reading import read_mesh_file
+from clalign.mesh.reading import expanded, mesh_stem, read_mesh_file
 from clalign.mesh.topology import boxed, face_areas
 
 log = logging.getLogger(__name__)
@@ -108,7 +107,7 @@ def load_mesh(path: str | os.PathLike[str], *, strict: bool = False, component: 
 
     Parameters
     ----------
-    path : an OFF, PLY, OBJ or STL file.
+    path : a file of any format in `clalign.mesh.reading`.
     strict : refuse what is no surface as it stands; otherwise it is put right as it was most likely meant, with a note.
     component : number of the piece to match, from 1 for the largest; None for the largest if it stands out.
 
@@ -117,9 +116,9 @@ def load_mesh(path: str | os.PathLike[str], *, strict: bool = False, component: 
     MeshError
         if the file cannot be read, or has a defect that the method cannot work with.
     """
-    raw, path = read_mesh_file(path), Path(path)
+    raw, path = read_mesh_file(path), expanded(path)
     found = diagnose(raw.vertices, raw.faces, str(path), strict=strict, component=component)
-    return _mesh_from_diagnosis(found, path.stem, str(path), raw.notes)
+    return _mesh_from_diagnosis(found, mesh_stem(path.name), str(path), raw.notes)
 
 
 def mesh_from_arrays(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ def mesh_facts(mesh: Mesh) -> dict[str, Any]:
     """Return everything but the arrays as plain values."""
     return {
         "name": mesh.name,
-        "path": mesh.path,
+        # Wherever the result is read from, it must know its own meshes.
+        "path": mesh.path and str(Path(mesh.path).absolute()),
         "vertices": mesh.n_vertices,
         "faces": mesh.n_faces,
         "file_vertices": mesh.file_count,

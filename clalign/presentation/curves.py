@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clalign.errors import InputError
 from clalign.evaluation.errors import THRESHOLDS, area_under_curve
+from clalign.storage.files import visible
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,7 +72,7 @@ def plot_error_curves(axes: Axes, curves: Mapping[str, NDArray[np.float64]], uni
     """Plot curves with their names below, where they hide none, however many there are."""
     for number, (label, curve) in enumerate(curves.items()):
         style = LINE_STYLES[number // COLOURS % len(LINE_STYLES)]
-        named = f"{label} ({area_under_curve(curve):.3f})"
+        named = f"{visible(label)} ({area_under_curve(curve):.3f})"
         axes.plot(THRESHOLDS, 100 * curve, style, color=f"C{number % COLOURS}", label=named, linewidth=1.6)
     axes.set(xlim=(0, THRESHOLDS[-1]), ylim=(0, 101), xlabel=AXIS_LABELS[unit], ylabel="% of points")
     axes.grid(alpha=0.3)

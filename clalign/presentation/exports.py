@@ -23,11 +23,27 @@ from clalign.mesh.writing import save_mesh
 from clalign.presentation.camera import Up, front_view
 from clalign.presentation.picture import pair_colours
 from clalign.presentation.raster import write_png
+from clalign.storage.files import visible
 from clalign.transfer.colours import position_colours
+from clalign.transfer.outputs import keep_originals
 from clalign.transfer.surface_map import surface_map
 from clalign.transfer.texture import Texture, write_textured_obj
 
 ArraysOf = Callable[[Correspondence], dict[str, NDArray[Any]]]
+
+FILES: dict[str, tuple[str, ...]] = {
+    "ply": ("source.ply", "target.ply"),
+    "obj": ("source.obj", "target.obj", "texture.mtl", "texture.png"),
+    "vts": ("source.vts", "target.vts"),
+    "map": ("source_target.map", "target_source.map"),
+    "numpy": ("match.npz",),
+    "matlab": ("match.mat",),
+    "pyfm": ("pyfm.npz",),
+    "geomfum": ("geomfum.npz",),
+    "report": ("report.html",),
+    "picture": ("match.png",),
+}
+"""The files of every format."""
 
 _TEXTURE_SIZE = 512
 _TEXTURE_SQUARES = 24
@@ -37,7 +53,8 @@ _MATERIAL = "newmtl checkers\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd texture.png\n
 def export_ply(correspondence: Correspondence, folder: str | Path, *, up: Up | None = None) -> list[Path]:
     """Write ``source.ply`` and ``target.ply``, coloured alike where they match. Returns the files."""
     meshes = (correspondence.source, correspondence.target)
-    paths = [_ready(folder) / "source.ply", Path(folder) / "target.ply"]
+    paths = [_ready(folder) / name for name in FILES["ply"]]
+    keep_originals(correspondence, paths)
     colours = pair_colours(correspondence, front_view(correspondence.target.vertices, up))
     for path, mesh, rows in zip(paths, meshes, colours, strict=True):
         save_mesh(path, mesh.file_positions(), mesh.file_faces, mesh.to_file(rows, 0.5))
@@ -49,19 +66,19 @@ def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | N
 
     Writes ``source.obj``, ``target.obj``, ``texture.mtl`` and ``texture.png`` and returns these files.
     """
-    target = correspondence.target
+    folder, target = _ready(folder), correspondence.target
+    keep_originals(correspondence, [folder / name for name in FILES["obj"]])
     seen = target.vertices @ front_view(target.vertices, up)[:2].T
     low, span = seen.min(axis=0), np.ptp(seen, axis=0).max()
     laid = 0.02 + 0.96 * (seen - low) / span
     carried = surface_map(correspondence).pull(laid)
-    folder = _ready(folder)
     materials = ("mtllib texture.mtl", "usemtl checkers")
     for side, mesh, rows in (("source", correspondence.source, carried), ("target", target, laid)):
         texture = Texture(rows, mesh.faces.astype(np.int64), mesh.file_faces, materials)
         write_textured_obj(folder / f"{side}.obj", mesh.file_positions(), texture)
     (folder / "texture.mtl").write_text(_MATERIAL, encoding="ascii")
     write_png(folder / "texture.png", _checkers())
-    return [folder / name for name in ("source.obj", "target.obj", "texture.mtl", "texture.png")]
+    return [folder / name for name in FILES["obj"]]
 
 
 def export_vts(correspondence: Correspondence, folder: str | Path) -> list[Path]:
@@ -138,7 +155,7 @@ def export_matlab(correspondence: Correspondence, folder: str | Path) -> list[Pa
             "si_evals": arrays[f"{side}_si_eigenvalues"][:, None],
             "si_evecs": arrays[f"{side}_si_functions"],
             "file_index": arrays[f"{side}_file_index"][:, None].astype(np.float64) + 1,
-            "name": getattr(correspondence, side).name,
+            "name": visible(getattr(correspondence, side).name),
         }
         for name, side in (("S1", "source"), ("S2", "target"))
     }

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from clalign.storage.files import replaced_file
+from clalign.storage.files import replaced_file, text_bytes
+
+
+def file_url(*parts: str) -> str:
+    """Return a link to a file below the page, byte for byte: Jinja and `quote` take nothing but UTF-8."""
+    return "/".join(quote(os.fsencode(part)) for part in parts)
+
 
 _LOADER = PackageLoader(__package__, ".")
 _TEMPLATES = Environment(
@@ -19,6 +27,7 @@ _TEMPLATES = Environment(
     keep_trailing_newline=True,
 )
 _TEMPLATES.policies["json.dumps_kwargs"] = {"ensure_ascii": False, "allow_nan": False}
+_TEMPLATES.filters["file_url"] = file_url
 # A file of this package as it is: styles and programs hold braces that are not for Jinja.
 _TEMPLATES.globals["raw"] = lambda name: Markup(_LOADER.get_source(_TEMPLATES, name)[0])
 
@@ -32,4 +41,4 @@ def write_page(path: Path, template: str, **values: object) -> None:
     """Write a page that loads nothing from elsewhere; an earlier one is replaced only when the new one is complete."""
     page = rendered(template, **values)
     with replaced_file(path) as stream:
-        stream.write(page.encode())
+        stream.write(text_bytes(page))

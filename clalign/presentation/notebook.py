@@ -8,6 +8,7 @@ import math
 from clalign.correspondence import Correspondence
 from clalign.presentation.html_page import rendered
 from clalign.presentation.picture import match_png
+from clalign.storage.files import visible
 
 
 def notebook_html(correspondence: Correspondence) -> str:
@@ -23,7 +24,8 @@ def notebook_html(correspondence: Correspondence) -> str:
     ]
     rows += [("warning", text) for text in correspondence.warnings]
     picture = base64.b64encode(match_png(correspondence, height=360)).decode("ascii")
-    return rendered("notebook.html", source=source, target=target, rows=rows, picture=picture)
+    page = rendered("notebook.html", source=source, target=target, rows=rows, picture=picture)
+    return visible(page)
 
 
 def _known(text: str) -> str:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import json
+import logging
 import os
 import secrets
+import shutil
 import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from clalign.errors import ResultError
 
@@ -17,6 +21,8 @@ try:
     import fcntl
 except ImportError:  # Windows has no flock: every process compiles its kernels anew
     fcntl = None  # type: ignore[assignment]
+
+logger = logging.getLogger(__name__)
 
 KERNEL_VARIABLE = "POCL_CACHE_DIR"
 """Environment variable with the folder in which PoCL keeps compiled kernels."""
@@ -44,8 +50,22 @@ def replaced_file(path: Path, *, durable: bool = False) -> Iterator[IO[bytes]]:
             unfinished.unlink()
 
 
+def text_bytes(text: str) -> bytes:
+    r"""Return text as UTF-8, with a visible escape for what UTF-8 does not have.
+
+    Python holds a byte of a file name that is no UTF-8 as a lone surrogate; it becomes ``\udcf6``, which JSON reads
+    back as the same name, and a person can still read.
+    """
+    return text.encode("utf-8", errors="backslashreplace")
+
+
+def visible(text: str) -> str:
+    """Return text as `text_bytes` writes it, for those who take nothing but text that has an encoding."""
+    return text_bytes(text).decode()
+
+
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text file, in UTF-8 and with the line ends of `text`.
+    """Write a text file as `text_bytes`, with the line ends of `text`.
 
     Raises
     ------
@@ -53,9 +73,14 @@ def write_text(path: str | Path, text: str) -> None:
         The file cannot be written.
     """
     try:
-        Path(path).write_text(text, encoding="utf-8", newline="\n")
+        Path(path).write_bytes(text_bytes(text))
     except OSError as error:
         raise ResultError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def write_json(path: Path, value: Any, indent: int = 2) -> None:
+    """Write plain values as a JSON document; OSError as the system gives it."""
+    path.write_bytes(text_bytes(json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"))
 
 
 def make_folder(folder: Path) -> None:
@@ -99,6 +124,41 @@ def cache_folder() -> Path:
     return Path(platformdirs.user_cache_dir("clalign"))
 
 
+def ensure_driver_caches() -> None:
+    """Let kernels go to a temporary folder, and pyopencl keep nothing, where the user's caches take no files.
+
+    PoCL would have no device there, and pyopencl would fail in the middle of the work. Works only before either is
+    loaded, and leaves alone what the user has set.
+    """
+    import platformdirs
+
+    caches = Path(platformdirs.user_cache_dir())
+    if all(map(takes_files, (caches / "pyopencl", caches / "pocl" / "kcache"))):
+        return
+    os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
+    if not os.environ.get(KERNEL_VARIABLE):
+        folder = os.environ[KERNEL_VARIABLE] = _passing_folder()
+        logger.info("%s takes no files; kernels are compiled anew, in %s", caches, folder)
+
+
+def _passing_folder() -> str:
+    """Make a temporary folder that goes with the process."""
+    folder = tempfile.mkdtemp(prefix="clalign-kernels-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+def takes_files(folder: Path) -> bool:
+    """Tell whether files can be written in a folder, or in the one that it would be made in."""
+    try:
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
 def claim_kernel_folder() -> None:
     """Give this process a folder of compiled kernels that no other process writes to, and keep it until the end.
 
@@ -110,11 +170,14 @@ def claim_kernel_folder() -> None:
         if _kernel_lock is not None:
             return
         if fcntl is None:
-            os.environ[KERNEL_VARIABLE] = tempfile.mkdtemp(prefix="clalign-kernels-")
+            os.environ[KERNEL_VARIABLE] = _passing_folder()
             _kernel_lock = -1
             return
+        ensure_driver_caches()
         named = os.environ.get(KERNEL_VARIABLE)
         root = Path(named) if named else cache_folder() / "kernels"
+        if not takes_files(root):
+            root = Path(_passing_folder())
         number = 0
         while _kernel_lock is None:
             folder = root / f"worker-{number}"

@@ -58,7 +58,10 @@ def _check_free(folder: Path, marker: str, *, force: bool) -> None:
             if not (folder / marker).is_file():
                 raise ResultError(f"{folder}: the folder holds files that are not a result; choose another --out")
             if not force:
-                raise ResultError(f"{folder}: already holds a result; give --force to replace it, or another --out")
+                raise ResultError(
+                    f"{folder}: already holds a result; give --force (in Python force=True) to replace it, or another "
+                    "--out"
+                )
     elif folder.exists() or folder.is_symlink():
         raise ResultError(f"{folder}: is not a folder; choose another --out")
 

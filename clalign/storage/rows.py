@@ -26,7 +26,7 @@ def append_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]
             stream.seek(0)
             stream.truncate(stream.read().rfind(b"\n") + 1)
         begun = stream.seek(0, os.SEEK_END) > 0
-        stream.write(_csv(rows if begun else [header, *rows]).encode())
+        stream.write(_csv(rows if begun else [header, *rows]))
         stream.flush()
         os.fsync(stream.fileno())
 
@@ -42,7 +42,7 @@ def complete_rows(path: Path, header: Sequence[str]) -> list[list[str]]:
     if not path.is_file():
         return []
     # Line by line, as no cell holds a line break: a line that was cut inside quotes must not swallow the next one.
-    *lines, _ = path.read_text(encoding="utf-8").split("\n")
+    *lines, _ = path.read_text(encoding="utf-8", errors="surrogateescape").split("\n")
     rows = [next(csv.reader([line])) for line in lines if line]
     if rows and rows[0] != list(header):
         raise ResultError(f"{path}: was not written by this version of clalign; choose another --out")
@@ -82,7 +82,7 @@ class RowFile(Generic[Row]):
     def write(self, rows: Iterable[Row]) -> None:
         """Write the whole file anew; the earlier one is replaced at once."""
         with replaced_file(self.path, durable=True) as stream:
-            stream.write(_csv([self.header, *map(self._cells, rows)]).encode())
+            stream.write(_csv([self.header, *map(self._cells, rows)]))
 
     def _cells(self, row: Row) -> list[str]:
         return [self._cell(getattr(row, name)) for name in self.header]
@@ -94,10 +94,11 @@ class RowFile(Generic[Row]):
         return f"{value:.{self.digits}g}" if isinstance(value, float) else " ".join(str(value).splitlines())
 
 
-def _csv(rows: Iterable[Sequence[str]]) -> str:
+def _csv(rows: Iterable[Sequence[str]]) -> bytes:
+    """Rows as UTF-8; bytes of file names that are none stay as they are, since rows are read back by these names."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
+    return text.getvalue().encode("utf-8", errors="surrogateescape")
 
 
 def _value(hint: Any, cell: str) -> Any:

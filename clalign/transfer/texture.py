@@ -48,7 +48,7 @@ def read_texture(path: str | Path) -> Texture:
     faces: list[tuple[int, int, int]] = []
     materials: list[str] = []
     try:
-        lines = Path(path).read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = Path(path).read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     for number, line in enumerate(lines, start=1):
@@ -83,7 +83,8 @@ def write_textured_obj(path: str | Path, vertices: NDArray[np.float64], texture:
     lines += [f"vt {u:.7g} {v:.7g}" for u, v in texture.coordinates.tolist()]
     corners = np.stack([texture.faces + 1, texture.corners + 1], axis=2).reshape(-1, 6)
     lines += [f"f {a}/{s} {b}/{t} {c}/{u}" for a, s, b, t, c, u in corners.tolist()]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    # Names of materials are written as they were read, in whatever encoding.
+    Path(path).write_bytes(("\n".join(lines) + "\n").encode("utf-8", errors="surrogateescape"))
 
 
 def carry_texture(correspondence: Correspondence, texture: Texture, *, origin: Side = "source") -> Texture:

@@ -53,11 +53,12 @@ def carry_values(
     origin : the shape that the values belong to.
     route : "points" gives each vertex the value at its match (interpolated inside a face where the match has
         sub-vertex places); "functional" sends smooth functions of the source through C, so that what comes out is
-        smooth but loses detail finer than the eigenfunctions.
+        smooth but loses detail finer than the eigenfunctions. Where the source has no finite value it is filled in
+        smoothly before, and the matches of those vertices get NaN.
 
     Returns
     -------
-    (vertices in the other file,) or (…, c) float64; NaN where there is no match.
+    (vertices in the other file,) or (…, c) float64; NaN where there is no match, or no value at it.
 
     Raises
     ------
@@ -69,7 +70,11 @@ def carry_values(
     if route == "functional":
         if origin != "source":
             raise InputError("C leads from the source to the target; carry from the source, or use route 'points'")
-        return there.to_file(_through_functional_map(correspondence, rows), np.nan)
+        known = np.isfinite(rows)
+        carried = _through_functional_map(correspondence, _filled_in(here, rows, known))
+        # One value that is missing would else be missing in every coefficient, and so everywhere.
+        carried[map_from(correspondence, origin).pull((~known).astype(np.float64)) > 0] = np.nan
+        return there.to_file(carried, np.nan)
     pull = map_from(correspondence, origin)
     carried = pull.pull(rows)
     carried[~pull.matched] = np.nan
@@ -167,6 +172,21 @@ def _through_functional_map(correspondence: Correspondence, rows: NDArray[np.flo
     source = correspondence.source_basis
     coefficients = source.functions[:, :rows_x].T @ (source.mass * rows.T).T
     return np.asarray(correspondence.target_basis.functions[:, :rows_y] @ (functional_map @ coefficients))
+
+
+def _filled_in(mesh: Mesh, rows: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return values (n,) or (n, c) with those that are not known made harmonic between the others; 0 if none is."""
+    filled = np.where(known, rows, 0.0)
+    if known.all():
+        return filled
+    matrix = stiffness(mesh.vertices, mesh.faces).tocsr()
+    for values, there in zip(filled.reshape(len(rows), -1).T, known.reshape(len(rows), -1).T, strict=True):
+        if there.any() and not there.all():
+            unknown = matrix[~there]
+            values[~there] = scipy.sparse.linalg.spsolve(
+                unknown[:, ~there].tocsc(), -(unknown[:, there] @ values[there])
+            )
+    return filled
 
 
 def _vertex_gradients(

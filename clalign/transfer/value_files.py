@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from clalign.mesh.writing import save_mesh
 from clalign.transfer.colours import UNMATCHED, amount_colours
 
 MESH_SUFFIXES = (".ply", ".off", ".obj")
+DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
+WITH_A_POINT = "has a comma within a number: write decimals with a point"
 _TEXT_SUFFIXES = (".txt", ".csv", ".xyz", ".lab", ".vts")
 
 
@@ -38,11 +41,11 @@ def read_values(path: str | Path, *, whole: bool = False) -> NDArray:
         if path.suffix == ".npy":
             values = np.load(path, allow_pickle=False)
         else:
-            text = path.read_text(encoding="utf-8")
-            lines = [line.split("#")[0].replace(",", " ") for line in text.splitlines()]
-            values = np.array([[float(word) for word in line.split()] for line in lines if line.strip()])
+            values = _table(path, path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except InputError:
+        raise
     except (ValueError, EOFError) as error:
         raise InputError(f"{path}: is not a table of numbers, one row a vertex: {error}") from error
     if not values.size:
@@ -57,6 +60,48 @@ def read_values(path: str | Path, *, whole: bool = False) -> NDArray:
     if not np.array_equal(rounded, values):
         raise InputError(f"{path}: holds numbers that are not whole")
     return rounded.astype(np.int64)
+
+
+def _table(path: Path, text: str) -> NDArray[np.float64]:
+    """(rows, columns) numbers of a text; InputError names the first line that is no row of them."""
+    lines = [(number, line.split("#")[0].strip()) for number, line in enumerate(text.splitlines(), start=1)]
+    lines = [(number, line) for number, line in lines if line]
+    # "0,5" is one number with a decimal comma or two; only the suffix can tell.
+    if path.suffix.lower() != ".csv" and lines and all(DECIMAL_COMMA.fullmatch(line) for _, line in lines):
+        raise InputError(
+            f"{path}, line {lines[0][0]}: {lines[0][1]!r} {WITH_A_POINT}, and columns with a blank between"
+        )
+    rows: list[list[float]] = []
+    for number, line in lines:
+        separated = line.replace(", ", " ") if " " in line or "\t" in line else line.replace(",", " ")
+        comma = re.search(r"\d,\d", line)
+        try:
+            rows.append([float(word) for word in separated.replace(",\t", " ").rstrip(",").split()])
+        except ValueError as error:
+            said = WITH_A_POINT if comma else "holds something that is no number"
+            raise InputError(f"{path}, line {number}: {line[:60]!r} {said}; one row of numbers a vertex") from error
+        if len(rows[-1]) != len(rows[0]):
+            hint = f"; perhaps it {WITH_A_POINT}" if comma else ""
+            raise InputError(
+                f"{path}, line {number}: {line[:60]!r} has {len(rows[-1])} numbers, the first row has "
+                f"{len(rows[0])}{hint}"
+            )
+    return np.array(rows)
+
+
+def check_colours(path: Path, values: NDArray) -> None:
+    """Raise InputError unless the values that were read from a file are colours: three columns, 0 to 1 or 0 to 255."""
+    columns = values.shape[1] if values.ndim == 2 else 1
+    if columns not in (3, 4):
+        raise InputError(
+            f"{path}: colours are three columns, and it has {columns}; carry other numbers with the kind 'scalars'"
+        )
+    known = values[np.isfinite(values)]
+    if known.size and not 0.0 <= known.min() <= known.max() <= 255.0:
+        raise InputError(
+            f"{path}: colours are 0 to 1 or 0 to 255, and it has {known.min():.4g} to {known.max():.4g}; carry other "
+            "numbers with the kind 'scalars'"
+        )
 
 
 def write_values(path: str | Path, values: NDArray, mesh: Mesh) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +61,33 @@ def test_equal_stems_get_the_folder_into_their_names(folder: Path) -> None:
     assert [member.name for member in members] == [f"{folder.name}-pose1.off", "more-pose1.off", "pose2"]
     with pytest.raises(ResultError, match="is there twice"):
         read_members([other, other])
+
+
+def test_every_format_has_members_by_its_name_without_suffix(tmp_path: Path) -> None:
+    folder = tmp_path / "shapes"
+    folder.mkdir()
+    off = shapes.write_off(folder / "a.off", *shapes.icosphere(0)).read_bytes()
+    (folder / "b.OFF.gz").write_bytes(gzip.compress(off))
+    for name in ("c.vtp", "lh.d.surf.gii", "notes.txt", "points.xyz", "lh.pial"):
+        (folder / name).write_bytes(b"")
+    assert [member.name for member in read_members(folder)] == ["a", "b", "c", "lh.d.surf"]
+    (tmp_path / "list.txt").write_text("shapes/lh.pial\nshapes/b.OFF.gz\n")
+    names = [member.name for member in read_members(tmp_path / "list.txt")]
+    assert names == ["lh.pial", "b"]
+    (tmp_path / "pairs.txt").write_text("b.OFF.gz lh.pial\n")
+    assert listed_pairs(tmp_path / "pairs.txt", names) == [(1, 0)]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes on Linux only")
+def test_a_list_may_name_files_whose_names_are_no_utf8(folder: Path) -> None:
+    (folder / os.fsdecode(b"K\xf6rper.off")).write_bytes((folder / "pose1.off").read_bytes())
+    (folder / "list.txt").write_bytes(b"K\xf6rper.off\npose1.off\n")
+    members = read_members(folder / "list.txt")
+    assert [os.fsencode(member.name) for member in members] == [b"K\xf6rper", b"pose1"]
+    assert members[0].digest == members[1].digest != ""
+    (folder / "list.txt").write_bytes(bytes(range(256)))
+    with pytest.raises(ResultError, match=r"is neither a folder nor a list of meshes \(it is no text\)"):
+        read_members(folder / "list.txt")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ Rows = list[tuple[str, str, str]]
 DEEDS = re.compile(
     r"Way out: (?:say which|export|check|scale|subdivide|with|without|cut open|a point cloud must be|`clalign check)"
     r"|[Ee]xport it again|export the mesh again|mend |give a file of the kind|name a mesh file|check the path"
+    r"|extract its surface|give the surface|[Cc]opy (?:it|or pack it) again"
 )
 
 

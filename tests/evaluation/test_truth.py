@@ -23,7 +23,10 @@ def test_the_same_map_is_read_from_both_bases(tmp_path: Path) -> None:
 
 def test_a_wrong_base_is_recognised(tmp_path: Path) -> None:
     one_based = datasets.write_numbers(tmp_path / "one.txt", [1, 3, 2, 4])
-    with pytest.raises(ResultError, match=r"one\.txt, line 4: vertex 4 is outside.*looks 1-based"):
+    with pytest.raises(
+        ResultError,
+        match=r"one\.txt, line 4: vertex 4 is outside.*looks 1-based: say --truth-base 1, or --base 1 for a map",
+    ):
         read_index(one_based, base=0, count=4)
     zero_based = datasets.write_numbers(tmp_path / "zero.txt", [1, 3, 0, 2])
     with pytest.raises(ResultError, match=r"zero\.txt, line 3: vertex 0 in a 1-based file"):

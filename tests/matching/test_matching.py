@@ -105,3 +105,14 @@ def test_without_a_search_there_is_no_confidence() -> None:
         result, _ = by_match()
     assert np.isnan(result.confidence)
     assert result.facts()["confidence"] is None
+
+
+@pytest.mark.filterwarnings("ignore::clalign.ConfidenceWarning")
+def test_sizes_that_cannot_be_had_are_in_the_warnings_of_the_result() -> None:
+    options = QUICK.replace({"spectrum.basis": 200, "spectrum.refinement": 3})
+    result = clalign.match(BODY, BODY, options)
+    assert result.warnings[:2] == (
+        "spectrum.refinement=3 is less than spectrum.basis=200; 200 eigenfunctions are computed",
+        "spectrum.basis=200 is more than the 162 vertices of the smaller mesh; "
+        "at most a third as many eigenfunctions as vertices are used",
+    )

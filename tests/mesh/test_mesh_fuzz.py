@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+import file_formats
 import malformed
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ from clalign.mesh.checks import diagnose
 from clalign.mesh.mesh import Mesh, load_mesh, mesh_from_arrays
 from clalign.mesh.repair import repair
 
-CONTENT = {name: write(shapes.bumpy_sphere(1)) for name, write in malformed.WRITERS.items()}
+WRITERS = {**malformed.WRITERS, **file_formats.WRITERS, "xyz": file_formats.points}
+CONTENT = {name: write(shapes.bumpy_sphere(1)) for name, write in WRITERS.items()}
 # More examples, new ones on every run: CLALIGN_FUZZ_EXAMPLES=1500 pytest tests/mesh/test_mesh_fuzz.py
 EXAMPLES = os.environ.get("CLALIGN_FUZZ_EXAMPLES")
 BOUNDED = settings(
@@ -45,6 +47,20 @@ PIECES = [
     b"list",
     b"",
 ]
+STARTS = {
+    "off": b"OFF\n",
+    "obj": b"",
+    "ply": b"ply\n",
+    "stl": b"solid x\n",
+    "vtk": b"# vtk DataFile Version 3.0\nx\nBINARY\nDATASET POLYDATA\n",
+    "vtp": b"<VTKFile type='PolyData'>",
+    "gii": b"<?xml version='1.0'?><GIFTI>",
+    "glb": b"glTF\2\0\0\0",
+    "3mf": b"PK\3\4",
+    "white": b"\xff\xff\xfe x\n\n",
+    "xyz": b"0 0 0\n",
+    "ply.gz": b"\x1f\x8b\x08",
+}
 PIECES += [b"element face 7\n", b"f 1 2 3\n", b"4 0 1 2 3\n", b"\xff\xfe", b"#", b"\\\n"]
 
 
@@ -109,12 +125,11 @@ def test_mutated_files(name: str, data: st.DataObject) -> None:
     load_bytes(content, name.split()[-1])
 
 
-@pytest.mark.parametrize("suffix", ["off", "obj", "ply", "stl"])
+@pytest.mark.parametrize("suffix", sorted(STARTS))
 @given(content=st.binary(max_size=300) | st.text(alphabet="OFplyvf 0123-.e/\n#", max_size=300).map(str.encode))
 @BOUNDED
 def test_random_bytes(suffix: str, content: bytes) -> None:
-    start = {"off": b"OFF\n", "obj": b"", "ply": b"ply\n", "stl": b"solid x\n"}[suffix]
-    load_bytes(start + content, suffix)
+    load_bytes(STARTS[suffix] + content, suffix)
 
 
 @given(data=st.data())

@@ -121,3 +121,18 @@ def test_processes_at_once_have_kernel_folders_of_their_own_and_later_ones_use_t
     wanted = [str(tmp_path / f"worker-{number}") for number in range(2)]
     assert folders(2) == wanted
     assert folders(1) == wanted[:1]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders are locked with flock")
+def test_a_worker_gets_a_temporary_kernel_folder_where_none_can_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    program = (
+        "import os; from clalign.storage.files import claim_kernel_folder; claim_kernel_folder();"
+        f"print(os.environ[{KERNEL_VARIABLE!r}])"
+    )
+    environment = {**os.environ, KERNEL_VARIABLE: str(tmp_path / "file" / "kernels")}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+    folder = Path(done.stdout.strip())
+    assert folder.name == "worker-0"
+    assert folder.parent.name.startswith("clalign-kernels-")
+    assert not folder.parent.exists()

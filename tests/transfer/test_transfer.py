@@ -95,3 +95,22 @@ def test_deformation_needs_finite_positions(small: Correspondence) -> None:
     moved[9, 1] = np.nan
     with pytest.raises(InputError, match="finite"):
         carry_deformation(small, moved)
+
+
+def test_a_missing_value_stays_where_it_is_on_the_functional_route(small: Correspondence) -> None:
+    """The rest comes out as if the value had been there: a smooth function is filled in between its neighbours."""
+    smooth = np.full((643, 2), np.nan)
+    smooth[1:] = small.source_basis.functions[:, :4] @ np.arange(8.0).reshape(4, 2)
+    whole = carry_values(small, smooth, route="functional")
+    gone = np.array([7, 300, 301])
+    holed = smooth.copy()
+    holed[gone, 0] = [np.nan, np.inf, np.nan]
+    carried = carry_values(small, holed, route="functional")
+    at_the_gap = np.isin(small.source_of_target, gone)
+    assert at_the_gap.any()
+    assert np.isnan(carried[at_the_gap, 0]).all()
+    rest = ~at_the_gap
+    rest[0] = False
+    np.testing.assert_allclose(carried[rest], whole[rest], atol=0.02 * np.nanstd(smooth))
+    np.testing.assert_array_equal(carried[1:, 1], whole[1:, 1])
+    assert np.isnan(carry_values(small, np.full(643, np.nan), route="functional")).all()

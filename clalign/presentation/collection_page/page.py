@@ -8,7 +8,6 @@ from __future__ import annotations
 import base64
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from clalign.collection.store import PairRow, subfolder_of
 from clalign.correspondence import Correspondence
 from clalign.presentation import PAGE_FILE
 from clalign.presentation.collection_page.pictures import shape_pictures
-from clalign.presentation.html_page import write_page
+from clalign.presentation.html_page import file_url, write_page
 from clalign.presentation.raster import png_bytes, write_png
 from clalign.presentation.report import write_report
 from clalign.transfer.colours import RAMPS, amount_colours
@@ -117,7 +116,7 @@ def _facts(collection: Collection) -> dict[str, str]:
 def _page_link(collection: Collection, row: PairRow) -> str | None:
     """Return the address of a pair's page, relative to the collection, or None where there is none."""
     parts = (subfolder_of(row.kind), row.source, row.target, PAGE_FILE)
-    return "/".join(map(quote, parts)) if collection.folder.joinpath(*parts).is_file() else None
+    return file_url(*parts) if collection.folder.joinpath(*parts).is_file() else None
 
 
 def _worth_a_look(collection: Collection) -> list[PairRow]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from clalign.errors import InputError
 from clalign.presentation.curves import new_figure
+from clalign.storage.files import visible
 
 DPI = 200
 PANEL_HEIGHT = 300
@@ -50,7 +51,7 @@ def save_drawing(drawing: Drawing, folder: Path, stem: str) -> list[Path]:
         with matplotlib.rc_context({"svg.hashsalt": stem, "svg.fonttype": "path"}):
             drawing.figure.savefig(paths[0], dpi=DPI)
             drawing.figure.savefig(paths[1], dpi=DPI, metadata={"Date": None})
-        with paths[2].open("w", encoding="utf-8", newline="") as stream:
+        with paths[2].open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
             writer = csv.writer(stream, lineterminator="\n")
             writer.writerow(drawing.columns)
             writer.writerows([[f"{c:.6g}" if isinstance(c, float) else c for c in row] for row in drawing.rows])
@@ -101,9 +102,9 @@ def panel_sheet(
     ):
         for number, label in enumerate(words):
             ends = lefts[number * span], lefts[(number + 1) * span - 1] + width
-            axes.text(sum(ends) / 2, y, label, va=anchor, **style)
+            axes.text(sum(ends) / 2, y, visible(label), va=anchor, **style)
     for number, label in enumerate(rows):
-        axes.text(left / 2, top + (number + 0.5) * height, label, rotation=90, va="center", **style)
+        axes.text(left / 2, top + (number + 0.5) * height, visible(label), rotation=90, va="center", **style)
     return figure
 
 

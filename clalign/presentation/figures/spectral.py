@@ -13,6 +13,7 @@ from clalign.evaluation import spectral
 from clalign.maps.functional_maps import PointMaps
 from clalign.presentation.curves import new_figure
 from clalign.presentation.figures.sheet import Drawing
+from clalign.storage.files import visible
 
 _RUNNING = 11
 _GAMMA = 0.5
@@ -40,7 +41,7 @@ def draw_funnel(result: Correspondence, maps: PointMaps) -> Drawing:
         axes.imshow(values, cmap="magma_r", norm=PowerNorm(_GAMMA, 0.0, 1.0), extent=extent, interpolation="none")
         # The mask's columns of row i are lower + 1 … upper, counted from 1.
         axes.plot(band.lower + 0.5, index, band.upper + 0.5, index, color="#2a7fb8", linewidth=0.8)
-        axes.set_title(title, fontsize=8)
+        axes.set_title(visible(title), fontsize=8)
         axes.set(xlim=extent[:2], ylim=extent[2:])
         axes.set_xlabel("eigenfunction of the target", fontsize=8)
         axes.tick_params(labelsize=7)
