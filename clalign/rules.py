@@ -83,6 +83,29 @@ class TreeRules:
 
 
 @dataclass(frozen=True)
+class TipRules:
+    """Candidates from matched extremities.
+
+    radius : a tip has no sample with a larger mean distance within so many sqrt(area): a hand is one tip, a finger is
+        none; ...
+    most : ... at most so many of a shape, the farthest out ones.
+    assigned : tips that are matched at a time; one of six may lack a counterpart.
+    least_distance : what is nearer, in units of the mean distance, counts as so far.
+    tried : assignments of least cost, from which maps are read.
+    first : functions of the first map, and the samples that it is read from.
+    kept : candidates of least distortion that go on.
+    """
+
+    radius: float = 0.2
+    most: int = 6
+    assigned: int = 5
+    least_distance: float = 0.05
+    tried: int = 400
+    first: Level = Level(16, 200, 600)
+    kept: int = 24
+
+
+@dataclass(frozen=True)
 class SearchRules:
     """The search for the isometry.
 
@@ -115,6 +138,7 @@ class SearchRules:
 
     oriented: TreeRules = TreeRules(9, (16, 18, 20), strengths=(0.5, 1.0), least_orientation=0.2, most=120)
     plain: TreeRules = TreeRules(7, (8, 9, 10, 11, 12, 14, 16, 18, 20), carried=0.6)
+    tips: TipRules = TipRules()
     unfold: Level = Level(16, 200, 400)
     settle: Levels = Levels((16, 16), 150, 300)
     settled_orientation: float = 0.0
