@@ -164,6 +164,35 @@ class SearchRules:
 
 
 @dataclass(frozen=True)
+class RivalRules:
+    """The choice among the best candidates of a search in doubt, after they are grown.
+
+    doubtful : rivals are grown where the confidence of the search is below: of 40 warped pairs the search was wrong on
+        six, always below 0.3.
+    exact : or where its score is below, which only an exact copy of the source reaches. Its samples are images of each
+        other under the identity, but not under a symmetry that is as exact, so that the scores cannot be compared.
+    slack : candidates with a score above so many times the least ...
+    resolution : ... or so many times this, where that is more, are no rivals: scores of exact maps that samples round.
+    most : rivals grown at most.
+    sizes : functions of the two-way steps of each rival, from the first size on. They start over from few functions,
+        which forgets how limbs came about: of 8 hard pairs 8 were chosen rightly after it, 6 before.
+    largest_stretch : edges stretched by more count as by so much: torn is torn.
+    least_energy : energies of this size are rounding, ...
+    same_energy : ... and of two that differ by less, relatively, none is the lesser.
+    """
+
+    doubtful: float = 0.5
+    exact: float = 1e-12
+    slack: float = 4.0
+    resolution: float = 1e-6
+    most: int = 6
+    sizes: tuple[int, ...] = (40, 60, 90, 130, 170, 20, 30, 40, 60, 90, 130, 170)
+    largest_stretch: float = 10.0
+    least_energy: float = 1e-4
+    same_energy: float = 1e-3
+
+
+@dataclass(frozen=True)
 class ZoomOutSchedule:
     """How a functional map is grown by ZoomOut.
 
@@ -291,6 +320,7 @@ class Rules:
     """All rules; see each group."""
 
     search: SearchRules = field(default_factory=SearchRules)
+    rivals: RivalRules = field(default_factory=RivalRules)
     refinement: RefinementRules = field(default_factory=RefinementRules)
     alignment: AlignmentRules = field(default_factory=AlignmentRules)
     judgement: JudgementRules = field(default_factory=JudgementRules)
