@@ -50,7 +50,8 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Iterator[set[str]]:
 
 def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: set[str]) -> None:
     """A rule that nothing reads is a number that steers nothing."""
-    options = MIDDLE.replace({"spectrum.metric": "auto", "spectrum.xi": 0.5, "alignment.outer_iterations": 1})
+    changes = {"spectrum.metric": "auto", "spectrum.xi": 0.5, "alignment.outer_iterations": 1}
+    options = MIDDLE.replace(changes | {"rules.rivals.doubtful": 1.1})
     source, target = (with_scale_invariant(shape, options.spectrum) for shape in middle[:2])
     other = options.replace({"readout.refine": "zoomout", "readout.steps": 1})
     read.clear()
