@@ -83,6 +83,29 @@ class TreeRules:
 
 
 @dataclass(frozen=True)
+class TipRules:
+    """Candidates from matched extremities.
+
+    radius : a tip has no sample with a larger mean distance within so many sqrt(area): a hand is one tip, a finger is
+        none; ...
+    most : ... at most so many of a shape, the farthest out ones.
+    assigned : tips that are matched at a time; one of six may lack a counterpart.
+    least_distance : what is nearer, in units of the mean distance, counts as so far.
+    tried : assignments of least cost, from which maps are read.
+    first : functions of the first map, and the samples that it is read from.
+    kept : candidates of least distortion that go on.
+    """
+
+    radius: float = 0.2
+    most: int = 6
+    assigned: int = 5
+    least_distance: float = 0.05
+    tried: int = 400
+    first: Level = Level(16, 200, 600)
+    kept: int = 24
+
+
+@dataclass(frozen=True)
 class SearchRules:
     """The search for the isometry.
 
@@ -115,6 +138,7 @@ class SearchRules:
 
     oriented: TreeRules = TreeRules(9, (16, 18, 20), strengths=(0.5, 1.0), least_orientation=0.2, most=120)
     plain: TreeRules = TreeRules(7, (8, 9, 10, 11, 12, 14, 16, 18, 20), carried=0.6)
+    tips: TipRules = TipRules()
     unfold: Level = Level(16, 200, 400)
     settle: Levels = Levels((16, 16), 150, 300)
     settled_orientation: float = 0.0
@@ -137,6 +161,35 @@ class SearchRules:
     fine: Levels = Levels((45, 50, 56, 63, 71, 80, 90, 100, 110, 120), 500, 1000)
     least_orientation: float = 0.5
     distinct: float = 0.05
+
+
+@dataclass(frozen=True)
+class RivalRules:
+    """The choice among the best candidates of a search in doubt, after they are grown.
+
+    doubtful : rivals are grown where the confidence of the search is below: of 40 warped pairs the search was wrong on
+        six, always below 0.3.
+    exact : or where its score is below, which only an exact copy of the source reaches. Its samples are images of each
+        other under the identity, but not under a symmetry that is as exact, so that the scores cannot be compared.
+    slack : candidates with a score above so many times the least ...
+    resolution : ... or so many times this, where that is more, are no rivals: scores of exact maps that samples round.
+    most : rivals grown at most.
+    sizes : functions of the two-way steps of each rival, from the first size on. They start over from few functions,
+        which forgets how limbs came about: of 8 hard pairs 8 were chosen rightly after it, 6 before.
+    largest_stretch : edges stretched by more count as by so much: torn is torn.
+    least_energy : energies of this size are rounding, ...
+    same_energy : ... and of two that differ by less, relatively, none is the lesser.
+    """
+
+    doubtful: float = 0.5
+    exact: float = 1e-12
+    slack: float = 4.0
+    resolution: float = 1e-6
+    most: int = 6
+    sizes: tuple[int, ...] = (40, 60, 90, 130, 170, 20, 30, 40, 60, 90, 130, 170)
+    largest_stretch: float = 10.0
+    least_energy: float = 1e-4
+    same_energy: float = 1e-3
 
 
 @dataclass(frozen=True)
@@ -267,6 +320,7 @@ class Rules:
     """All rules; see each group."""
 
     search: SearchRules = field(default_factory=SearchRules)
+    rivals: RivalRules = field(default_factory=RivalRules)
     refinement: RefinementRules = field(default_factory=RefinementRules)
     alignment: AlignmentRules = field(default_factory=AlignmentRules)
     judgement: JudgementRules = field(default_factory=JudgementRules)

@@ -54,6 +54,17 @@ def bumpy_sphere(subdivisions: int = 3, seed: int = 0) -> tuple[Vertices, Faces]
     return stretched * (1 + bumps)[:, None], faces
 
 
+LIMBS = np.array([[1.0, 0.0, 0.2], [0.1, 1.0, 0.1], [-0.9, 0.5, 0.0], [-0.5, -0.9, 0.1], [0.5, -0.7, -0.8]])
+"""Directions of the limbs of `limbed_sphere`; no rotation carries them to each other."""
+
+
+def limbed_sphere(lengths: tuple[float, ...], subdivisions: int = 3) -> tuple[Vertices, Faces]:
+    """Ball with five limbs of given lengths, in units of its radius, along `LIMBS`."""
+    directions, faces = icosphere(subdivisions)
+    along = LIMBS / np.linalg.norm(LIMBS, axis=1, keepdims=True)
+    return directions * (1 + np.exp(12 * (directions @ along.T - 1)) @ np.array(lengths))[:, None], faces
+
+
 def bent(vertices: Vertices, angle: float = 0.6) -> Vertices:
     """Bend a shape about its longest axis: nearly an isometry for small angles and thin shapes."""
     turn = angle * vertices[:, 0] / np.ptp(vertices[:, 0])

@@ -1,12 +1,13 @@
 """The stages of a match, in their order, as pure functions over a frozen state.
 
-    smooth → search → refine → choose ξ → start R → align → read out
+    smooth → search → choose among rivals → refine → choose ξ → start R → align → read out
 
 Every stage yields what it has reached, as often as that is worth keeping: after Ctrl-C the last of it goes on.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -29,6 +30,7 @@ from clalign.matching.state import MatchState, aligned_count, required
 from clalign.options import Options
 from clalign.refinement.patches import patchwise_maps
 from clalign.refinement.precise import SurfacePoints, closest_points
+from clalign.refinement.rivals import choose_grown, in_doubt
 from clalign.refinement.zoomout import BoundSpectra, best_grown_map, two_way_step, two_way_steps, vertex_maps
 from clalign.search.find import find_isometry
 
@@ -71,6 +73,14 @@ def search(state: MatchState, backend: Backend, report: Report) -> Iterator[Matc
             lambda part: report(part, ""),
         ),
     )
+
+
+def choose(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Choose anew among the candidates of a search in doubt, by what they are grown to."""
+    found, options = required(state.found), state.options
+    sign = {"preserving": 1.0, "reversing": -1.0, "any": math.copysign(1.0, found.chosen.orientation)}
+    chosen = choose_grown(state.source, state.target, found, sign[options.search.orientation], options.rules, backend)
+    yield replace(state, found=chosen, rivals_grown=True)
 
 
 def refine(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
@@ -174,6 +184,15 @@ def _points(
 STAGES = (
     Stage("metric", lambda state: state.source.smoothing != state.target.smoothing, smooth),
     Stage("search", lambda state: state.found is None and state.options.search.method != "random", search),
+    Stage(
+        "choice",
+        lambda state: (
+            not (state.rivals_grown or state.interrupted)
+            and state.found is not None
+            and in_doubt(state.found, state.options.rules.rivals)
+        ),
+        choose,
+    ),
     Stage("refinement", lambda state: state.found is not None, refine),
     Stage(
         "metric",

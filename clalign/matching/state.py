@@ -52,6 +52,7 @@ class MatchState:
     xi : exponent of the metric: that of the options, or the one chosen for this pair with the metric "auto".
     metric_chosen : ξ was chosen.
     found : the search's result; None before it, and with the paper's random start.
+    rivals_grown : the chosen map was chosen anew, among candidates that were grown.
     maps : the best maps so far.
     alternatives : maps of the best different candidates.
     start : R before the optimisation, and the signs that were absorbed.
@@ -70,6 +71,7 @@ class MatchState:
     xi: float
     metric_chosen: bool = False
     found: SearchResult | None = None
+    rivals_grown: bool = False
     maps: PointMaps | None = None
     alternatives: tuple[PointMaps, ...] = ()
     start: StartingRotation | None = None

@@ -24,7 +24,7 @@ from clalign.maps.nearest import point_maps
 from clalign.maps.orientation import carried_products, index_pairs
 from clalign.maps.point_maps import PointMaps
 from clalign.maps.sampling import SampledBasis, nearest_samples, sample_functional_map, two_way_sample_steps
-from clalign.refinement.zoomout import grown_map
+from clalign.refinement.zoomout import grown_map, sampled_bases
 from clalign.rules import RefinementRules
 
 
@@ -148,8 +148,8 @@ def patchwise_maps(
     functional : (k, k), between Laplace–Beltrami functions.
     size : at most so many Laplace–Beltrami functions are used.
     """
-    low = _sampled_bases(source, target, (source.basis, target.basis), rules, backend)
-    high = _sampled_bases(source, target, scale_invariant, rules, backend)
+    low = sampled_bases(source, target, (source.basis, target.basis), rules, backend)
+    high = sampled_bases(source, target, scale_invariant, rules, backend)
 
     def settled(maps: PointMaps, bases: tuple[SampledBasis, SampledBasis], sizes: tuple[int, ...]) -> PointMaps:
         most = min(basis.count for basis in bases)
@@ -175,13 +175,3 @@ def patchwise_maps(
     factors = singular_value_weighting(sample_functional_map(*high, maps, count, rules.ridge))
     x, y = (basis.embedded(factor, backend) for basis, factor in zip(high, factors, strict=True))
     return point_maps(x, y, (source.order, target.order), backend=backend)
-
-
-def _sampled_bases(
-    source: Shape, target: Shape, spectra: tuple[Spectrum, Spectrum], rules: RefinementRules, backend: Backend
-) -> tuple[SampledBasis, SampledBasis]:
-    x, y = (
-        SampledBasis.of(spectrum, shape.samples(rules.samples), shape.order, backend)
-        for shape, spectrum in zip((source, target), spectra, strict=True)
-    )
-    return x, y

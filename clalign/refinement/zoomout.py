@@ -23,6 +23,7 @@ from clalign.maps.functional_maps import (
 )
 from clalign.maps.nearest import Orders, nearest_rows, permuted, point_maps
 from clalign.maps.point_maps import PointMaps
+from clalign.maps.sampling import SampledBasis
 from clalign.maps.zoomout import zoomout
 from clalign.refinement.pointwise import pointwise_descriptors
 from clalign.rules import RefinementRules, Rules, ZoomOutSchedule
@@ -102,6 +103,17 @@ def vertex_maps(source: Shape, target: Shape, functional: NDArray[np.float64], b
     return functional_point_maps(
         polar_factor(functional), source.basis.functions[:, :size], target.basis.functions[:, :size], backend
     )
+
+
+def sampled_bases(
+    source: Shape, target: Shape, spectra: tuple[Spectrum, Spectrum], rules: RefinementRules, backend: Backend
+) -> tuple[SampledBasis, SampledBasis]:
+    """Return eigenfunctions of both shapes bound to the samples that the rules ask for."""
+    x, y = (
+        SampledBasis.of(spectrum, shape.samples(rules.samples), shape.order, backend)
+        for shape, spectrum in zip((source, target), spectra, strict=True)
+    )
+    return x, y
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,9 @@
-"""The whole search: trees, compositions with self-maps, unfolding once more, a fine step, and the choice."""
+"""The whole search: trees, compositions with self-maps, unfolding once more, tips, a fine step, and the choice."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,9 +13,10 @@ from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape
 from clalign.options import Orientation
 from clalign.rules import SearchRules
-from clalign.search.batch import Batch, SampledShape, SamplePair, least_distorted, up_sample
+from clalign.search.batch import Batch, SampledShape, SamplePair, least_distorted, map_distances, up_sample
 from clalign.search.score import ranked
 from clalign.search.symmetries import composed, self_maps, unfolded_again, widened
+from clalign.search.tips import tip_candidates
 from clalign.search.tree import grow
 
 
@@ -93,10 +94,13 @@ def _mirrored(candidate: Candidate) -> Candidate:
 
 
 def _search(pair: SamplePair, rules: SearchRules, report: Callable[[float], None]) -> SearchResult:
-    candidates = _tree_candidates(pair, rules, report)
+    of_trees = _tree_candidates(pair, rules, report)
+    report(0.75)
+    of_tips = tip_candidates(pair, rules)
     report(0.8)
-    fine = up_sample(pair, candidates, rules.fine)
-    ranking = ranked(pair, fine, pair.fitted(rules.fine.last).points, rules)
+    fine = up_sample(pair, _joined([of_trees, of_tips]) if len(of_tips) else of_trees, rules.fine)
+    points = pair.fitted(rules.fine.last).points
+    ranking = ranked(pair, _first_found(pair, fine, len(of_trees), points, rules), points, rules)
     report(1.0)
     chosen, *others = (
         Candidate(
@@ -116,13 +120,13 @@ def _tree_candidates(pair: SamplePair, rules: SearchRules, report: Callable[[flo
     report(0.15)
     plain = grow(pair, rules.plain, rules)
     report(0.3)
-    wide = widened(pair, _joined([oriented, plain]), rules.wide_most, rules)
+    wide = widened(pair, _joined([oriented.functional, plain.functional]), rules.wide_most, rules)
     own_source = self_maps(SamplePair(pair.source, pair.source, pair.backend), rules)
     own_target = self_maps(SamplePair(pair.target, pair.target, pair.backend), rules)
     report(0.5)
     compositions = composed(wide.functional[: rules.composed], own_source, own_target)
     unfolded = unfolded_again(pair, wide.functional[: rules.unfolded_again], rules)
-    grown = [up_sample(pair, batch.functional, [rules.unfold_join]) for batch in unfolded if batch.count]
+    grown = [up_sample(pair, batch.functional, [rules.unfold_join]).functional for batch in unfolded if batch.count]
     again = [widened(pair, _joined(grown), rules.wide_most, rules)] if grown else []
     parts = [wide, widened(pair, compositions, rules.wide_most, rules), *again]
     union = np.concatenate([part.functional for part in parts])
@@ -135,7 +139,19 @@ def _tree_candidates(pair: SamplePair, rules: SearchRules, report: Callable[[flo
     return least_distorted(pair, final, points, rules.wide_radius, rules.finalists).functional
 
 
-def _joined(batches: list[Batch]) -> NDArray[np.float32]:
-    """Return the functional maps of several batches, cut to the smallest size among them."""
-    size = min(batch.functional.shape[1] for batch in batches)
-    return np.concatenate([batch.functional[:, :size, :size] for batch in batches])
+def _first_found(pair: SamplePair, batch: Batch, first: int, points: int, rules: SearchRules) -> Batch:
+    """Return a batch without those after the `first` candidates that are no different map from any of these.
+
+    What the trees find does not depend on whether tips lead there too.
+    """
+    if batch.count == first:
+        return batch
+    between = map_distances(pair, batch.index, points)
+    fresh = first + np.flatnonzero((between[first:, :first] > rules.distinct).all(axis=1))
+    return batch.take(np.concatenate([np.arange(first), fresh]))
+
+
+def _joined(functional: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Return several batches of functional maps as one, cut to the smallest size among them."""
+    size = min(maps.shape[1] for maps in functional)
+    return np.concatenate([maps[:, :size, :size] for maps in functional])

@@ -10,19 +10,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapes
 from prepared import MIDDLE, PreparedPair
 
 from clalign import rules
 from clalign.engine import Backend
-from clalign.geometry.shape import with_scale_invariant
+from clalign.geometry.shape import prepare, with_scale_invariant
 from clalign.matching.loop import Clock, run_stages
 from clalign.matching.result import _doubts
 from clalign.matching.stages import start_rotation
 from clalign.matching.state import MatchState
+from clalign.mesh.mesh import mesh_from_arrays
 from clalign.option_values import leaves
 from clalign.options import Options
 from clalign.rules import JudgementRules, Rules
+from clalign.search.batch import SampledShape, SamplePair
 from clalign.search.find import Candidate, SearchResult
+from clalign.search.tips import tip_candidates
 
 CLASSES = [each for each in vars(rules).values() if isinstance(each, type) and dataclasses.is_dataclass(each)]
 
@@ -46,13 +50,16 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Iterator[set[str]]:
 
 def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: set[str]) -> None:
     """A rule that nothing reads is a number that steers nothing."""
-    options = MIDDLE.replace({"spectrum.metric": "auto", "spectrum.xi": 0.5, "alignment.outer_iterations": 1})
+    changes = {"spectrum.metric": "auto", "spectrum.xi": 0.5, "alignment.outer_iterations": 1}
+    options = MIDDLE.replace(changes | {"rules.rivals.doubtful": 1.1})
     source, target = (with_scale_invariant(shape, options.spectrum) for shape in middle[:2])
     other = options.replace({"readout.refine": "zoomout", "readout.steps": 1})
     read.clear()
     with np.errstate(all="ignore"):
         state = run_stages(MatchState(source, target, options, 0.5), kernels, Clock())
         *_, _ = start_rotation(dataclasses.replace(state, options=other, start=None), kernels, lambda *_: None)
+        limbed = SampledShape.of(prepare(mesh_from_arrays(*shapes.limbed_sphere((1.4, 1.2, 1.6, 1.0, 1.8))), MIDDLE))
+        tip_candidates(SamplePair(limbed, limbed, kernels), Rules().search)
     # Judged in the result, and read by collections only.
     elsewhere = {"JudgementRules", "CollectionRules", "Rules"}
     expected = {

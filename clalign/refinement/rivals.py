@@ -1,0 +1,136 @@
+"""The choice among candidates that the search can hardly tell apart, by what their maps do to the surface.
+
+Samples and low functions see little of a leg that went to the other hip: distances change by a few per cent. Grown to
+all vertices such a map *tears* at the root of the leg, where neighbours come to lie far apart.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.engine.backend import Backend
+from clalign.geometry.shape import Shape
+from clalign.maps.functional_maps import polar_factor, singular_value_weighting, two_way_functional_map
+from clalign.maps.nearest import point_maps
+from clalign.maps.point_maps import PointMaps
+from clalign.maps.sampling import SampledBasis, nearest_samples, sample_functional_map, two_way_sample_steps
+from clalign.mesh.topology import face_areas
+from clalign.refinement.zoomout import sampled_bases
+from clalign.rules import RivalRules, Rules
+from clalign.search.batch import SamplePair, map_distances, up_sample
+from clalign.search.find import Candidate, SearchResult
+from clalign.search.score import map_scores
+
+
+def in_doubt(found: SearchResult, rules: RivalRules) -> bool:
+    """Return whether the search has found rivals that it cannot tell from the chosen map."""
+    return bool(found.alternatives) and (found.confidence < rules.doubtful or found.chosen.score < rules.exact)
+
+
+def stretch_energy(source: Shape, target: Shape, target_of_source: NDArray[np.int64], rules: RivalRules) -> float:
+    """Return the mean over the surface of ln of the stretch of edges, those that are not stretched counting 0.
+
+    The stretch of an edge is the distance in space of its images over its length, at least the spacing of the vertices
+    of the coarser mesh, since images are rounded to vertices. An isometry has about 0; the logarithm keeps what is torn
+    from deciding alone. A map that collapses a part does not stretch it, but its inverse does: both ways are wanted.
+
+    Parameters
+    ----------
+    target_of_source : (n_x,), a vertex of Y for every vertex of X.
+    """
+    faces, points, images = source.mesh.faces, source.mesh.vertices, target.mesh.vertices[target_of_source]
+    area = face_areas(points, faces)
+    spacing = 1.0 / math.sqrt(min(source.mesh.n_vertices, target.mesh.n_vertices))
+    total = 0.0
+    for first, second in ((0, 1), (1, 2), (2, 0)):
+        a, b = faces[:, first], faces[:, second]
+        before = np.maximum(np.linalg.norm(points[a] - points[b], axis=1), spacing)
+        after = np.linalg.norm(images[a] - images[b], axis=1)
+        total += float(area @ np.log(np.clip(after / before, 1.0, rules.largest_stretch)))
+    return total / (3.0 * float(area.sum()))
+
+
+def grown(
+    bases: tuple[SampledBasis, SampledBasis],
+    functional: NDArray[np.float64],
+    ridge: float,
+    rules: RivalRules,
+    backend: Backend,
+) -> PointMaps:
+    """Return the maps between all vertices that a candidate leads to by two-way steps among samples.
+
+    Parameters
+    ----------
+    bases : Laplace–Beltrami functions of both shapes with samples.
+    functional : (k, k) of the candidate.
+    ridge : of the least squares on samples.
+    """
+    most = min(basis.count for basis in bases)
+    sizes = [min(size, most) for size in rules.sizes]
+    low = min(sizes[0], len(functional))
+    started = nearest_samples(*bases, (np.eye(low), polar_factor(functional[:low, :low])), None, backend)
+    maps = two_way_sample_steps(*bases, started, sizes, ridge, backend)
+    factors = singular_value_weighting(sample_functional_map(*bases, maps, sizes[-1], ridge))
+    x, y = (basis.embedded(factor, backend) for basis, factor in zip(bases, factors, strict=True))
+    return point_maps(x, y, (bases[0].order, bases[1].order), backend=backend)
+
+
+def choose_grown(
+    source: Shape, target: Shape, found: SearchResult, sign: float, rules: Rules, backend: Backend
+) -> SearchResult:
+    """Return the result of a search with its best candidates grown, told apart again, and put in order.
+
+    The map whose stretch energy, both ways, is least is chosen, among those whose orientation passes as it does in the
+    search. Candidates that have grown into one map are one. The confidence is 1 − J / J', J the product of the search's
+    score of the grown map and its energy, J' the least of a different map; it is 0 where a rival has less, as energy
+    and score then contradict each other, and where a rival has the same energy, as under an exact symmetry.
+
+    Parameters
+    ----------
+    found : candidates, more than one.
+    sign : +1 where the orientation is to be kept, −1 where it is to be reversed.
+    """
+    limits, every = rules.rivals, (found.chosen, *found.alternatives)
+    largest = limits.slack * max(found.chosen.score, limits.resolution)
+    count = min(sum(each.score <= largest for each in every), limits.most)
+    bases = sampled_bases(source, target, (source.basis, target.basis), rules.refinement, backend)
+    pair = SamplePair.of(source, target, backend)
+    level = pair.fitted(rules.search.fine.last)
+    energies, functional = np.zeros(count), np.stack([each.functional for each in every])
+    for number in range(count):
+        maps = grown(bases, functional[number], rules.refinement.ridge, limits, backend)
+        functional[number] = two_way_functional_map(source.basis, target.basis, maps, level.size, backend)
+        ways = (source, target, maps.target_of_source), (target, source, maps.source_of_target)
+        energies[number] = limits.least_energy + sum(stretch_energy(*way, limits) for way in ways)
+    batch = up_sample(pair, functional, [level])
+    scores = map_scores(pair, batch, level.points)
+    orientation = pair.orientations(batch, rules.search.scored_products)
+    failed = sign * orientation <= rules.search.least_orientation
+    order = [*np.lexsort((energies, failed[:count])), *range(count, len(every))]
+    distances = map_distances(pair, batch.index, level.points)
+    distinct = [order[0]]
+    for number in order[1:]:
+        if failed[number] == failed[order[0]] and (distances[distinct, number] > rules.search.distinct).all():
+            distinct.append(number)
+    # Of what was not grown only the ratio of the search's scores is known.
+    searched = np.maximum([each.score for each in every], np.finfo(np.float64).tiny)
+    ratios = np.concatenate([_ratios(energies, scores[:count], order[0], limits), searched[count:] / searched[0]])
+    chosen, *others = (
+        Candidate(functional[each], float(scores[each]), float(orientation[each]), float(distances[order[0], each]))
+        for each in distinct
+    )
+    margin = np.log(np.maximum(ratios[distinct[1:]], 1.0)).min(initial=math.inf)
+    return SearchResult(chosen, tuple(others), float(margin))
+
+
+def _ratios(
+    energies: NDArray[np.float64], scores: NDArray[np.float64], chosen: int, rules: RivalRules
+) -> NDArray[np.float64]:
+    """Return J' / J of every rival; where the energies are the same, so are the maps as far as anyone can tell."""
+    of_energies = energies / energies[chosen]
+    smallest = np.finfo(np.float64).tiny
+    of_scores = np.maximum(scores, smallest) / max(scores[chosen], smallest)
+    return np.where(np.abs(of_energies - 1.0) < rules.same_energy, 1.0, of_energies * of_scores)
