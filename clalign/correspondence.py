@@ -89,6 +89,8 @@ class Correspondence:
     score : of the chosen map, as `Alternative.score`; NaN where no search was made.
     xi : exponent ξ of the metric, as given or as chosen for the pair.
     status : how the optimisation of R ended: converged, noise floor, budget, failed, not run, or interrupted (Ctrl-C).
+    landmarks : what became of each landmark that the user gave: its name, its vertices in both files ("source",
+        "target"), the distance from the map's image in sqrt(area), and whether it was "used" and kept exactly.
     method : version of the method, which counts changes after which the same input gives another map.
 
     Raises
@@ -124,6 +126,7 @@ class Correspondence:
     xi: float = math.nan
     status: str = ""
     method: int = METHOD_VERSION
+    landmarks: tuple[dict[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         source, target = self.source, self.target
@@ -206,6 +209,7 @@ class Correspondence:
             "xi": finite_or_none(self.xi),
             "status": self.status,
             "method": self.method,
+            "landmarks": [dict(each) for each in self.landmarks],
             "losses": {name: finite_or_none(value) for name, value in self.losses.items()},
             "counts": self._counts(),
             "timings": {name: finite_or_none(value) for name, value in self.timings.items()},
@@ -371,6 +375,7 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         xi=_number(facts.get("xi")),
         status=str(facts.get("status", "")),
         method=int(facts.get("method", 0)),
+        landmarks=tuple(facts.get("landmarks", ())),
     )
 
 

@@ -316,11 +316,29 @@ class CollectionRules:
 
 
 @dataclass(frozen=True)
+class LandmarkRules:
+    """What known landmarks decide.
+
+    most : candidates of the search that they choose among.
+    cap : a landmark that a candidate sends farther away counts as this far, in sqrt(area): one wrong landmark of five
+        must not decide.
+    worse : candidates whose landmarks are off by this much more than the best one's, in sqrt(area), are no rivals.
+    contradicted : the final map contradicts a landmark that it sends farther away than this, in sqrt(area).
+    """
+
+    most: int = 12
+    cap: float = 0.4
+    worse: float = 0.04
+    contradicted: float = 0.15
+
+
+@dataclass(frozen=True)
 class Rules:
     """All rules; see each group."""
 
     search: SearchRules = field(default_factory=SearchRules)
     rivals: RivalRules = field(default_factory=RivalRules)
+    landmarks: LandmarkRules = field(default_factory=LandmarkRules)
     refinement: RefinementRules = field(default_factory=RefinementRules)
     alignment: AlignmentRules = field(default_factory=AlignmentRules)
     judgement: JudgementRules = field(default_factory=JudgementRules)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
     from clalign.evaluation.errors import Evaluation
     from clalign.evaluation.truth import Truth
+    from clalign.mesh.landmarks import Landmarks
     from clalign.mesh.mesh import Mesh
 
     Truths = tuple[Truth, Truth | None]
@@ -59,6 +60,22 @@ def add_match(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
     _add_file_arguments(parser)
     parser.add_argument("--force", action="store_true", help="replace an earlier result in DIR")
     parser.add_argument(
+        "--landmarks",
+        metavar="FILE",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="after the meshes; points known to be the same: one file with a pair of vertex numbers or points a row "
+        "(text or CSV), or one for each mesh (also of 3D Slicer, .mrk.json, and MeshLab, .pp)",
+    )
+    parser.add_argument(
+        "--landmark-tolerance",
+        metavar="T",
+        type=float,
+        default=0.0,
+        help="how far landmarks may be off, in sqrt(area); above 0 none is kept exactly (default: %(default)s)",
+    )
+    parser.add_argument(
         "--component",
         metavar="N[,N]",
         help="the piece to match of a mesh with several, numbered from 1 for the largest as 'clalign check' lists "
@@ -82,7 +99,8 @@ def run_match(args: argparse.Namespace) -> int:
     def truths(source: Mesh, target: Mesh) -> Truths | None:
         return (read_truth(args.truth, None, source, target), None) if args.truth else None
 
-    meshes = _Files(args.source, args.target, *chosen_components(args.component))
+    components, landmarks = chosen_components(args.component), tuple(args.landmarks)
+    meshes = _Files(args.source, args.target, *components, landmarks, args.landmark_tolerance)
     return _run(meshes, args, truths, force=args.force)
 
 
@@ -109,12 +127,19 @@ class _Files:
     target: Path
     source_component: int | None = None
     target_component: int | None = None
+    landmarks: tuple[str, ...] = ()
+    tolerance: float = 0.0
 
     def load(self, *, strict: bool) -> tuple[Mesh, Mesh]:
         from clalign.mesh.mesh import load_mesh
 
         source = load_mesh(self.source, strict=strict, component=self.source_component)
         return source, load_mesh(self.target, strict=strict, component=self.target_component)
+
+    def known(self, source: Mesh, target: Mesh) -> Landmarks | None:
+        from clalign.mesh.landmarks import landmarks_of
+
+        return landmarks_of(self.landmarks, source, target, self.tolerance) if self.landmarks else None
 
 
 def add_demo(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -239,6 +264,7 @@ def _run(
 
     with missed_interrupts() as raise_missed:
         source, target = files.load(strict=options.surface.strict)
+        landmarks = files.known(source, target)
         truths = truths_of(source, target)
         device = _device(options)
         # Last, so that no mistake elsewhere comes to light only after --force was added.
@@ -246,7 +272,7 @@ def _run(
         terminal.note(f"device: {device}")
         for role, mesh in (("source", source), ("target", target)):
             terminal.note(f"{role}: {mesh.path}, {mesh.n_vertices:,} vertices, {mesh.n_faces:,} faces")
-        result = _matched(source, target, options, args, terminal, raise_missed)
+        result = _matched((source, target, landmarks), options, args, terminal, raise_missed)
     evaluation = None
     try:
         with plain_interrupts():
@@ -273,8 +299,7 @@ def _device(options: Options) -> str:
 
 
 def _matched(
-    source: Mesh,
-    target: Mesh,
+    given: tuple[Mesh, Mesh, Landmarks | None],
     options: Options,
     args: argparse.Namespace,
     terminal: Terminal,
@@ -289,7 +314,8 @@ def _matched(
     cache = None if args.no_cache else ShapeCache()
     with warnings.catch_warnings(record=True) as seen, terminal.progress() as progress:
         warnings.simplefilter("always", ClalignWarning)
-        result = match(source, target, options, progress=progress, cache=cache)
+        source, target, landmarks = given
+        result = match(source, target, options, landmarks=landmarks, progress=progress, cache=cache)
     raised = [str(warning.message) for warning in seen if issubclass(warning.category, ClalignWarning)]
     for message in dict.fromkeys([*result.warnings, *raised]):
         terminal.warn(message)

@@ -16,6 +16,7 @@ from clalign.geometry.workers import single_threaded_blas
 from clalign.matching.loop import Clock, Progress, run_stages
 from clalign.matching.result import correspondence, warn_of_doubts
 from clalign.matching.state import MatchState
+from clalign.mesh.landmarks import Landmarks, landmarks_of
 from clalign.mesh.mesh import as_mesh
 from clalign.options import Options, given_options
 from clalign.resources import require_memory
@@ -26,6 +27,8 @@ def match(
     target: Any,
     options: Options | None = None,
     *,
+    landmarks: Any = None,
+    landmark_tolerance: float = 0.0,
     progress: Progress | None = None,
     cache: ShapeCache | None = None,
 ) -> Correspondence:
@@ -36,6 +39,10 @@ def match(
     source, target : a path, a ``trimesh.Trimesh``, a pair ``(vertices, faces)``, or a loaded `Mesh` (which
         `load_mesh` makes of one of several pieces in a file).
     options : see `Options`; the default preset if None.
+    landmarks : what is known: pairs of vertices (k, 2), two arrays of vertices or of points, or files; see
+        `clalign.mesh.landmarks.landmarks_of`. They choose among candidate maps and, with three or more, start one;
+        those that the final map agrees with are kept exactly, others are named in a warning.
+    landmark_tolerance : how far landmarks may be off, in sqrt(area); above 0 none is kept exactly.
     progress : called as ``progress(stage, fraction, message)``, fraction in [0, 1] of the stage.
     cache : keeps what is computed of a single shape for later matches; None computes everything.
 
@@ -49,6 +56,8 @@ def match(
     ------
     OptionError
         `options` or `cache` is something else, such as a name.
+    InputError
+        The landmarks do not fit the meshes.
     MeshError
         A mesh cannot be read or has a defect that the method cannot work with; the message says what to do.
     MemoryBudgetError
@@ -63,17 +72,23 @@ def match(
             as_mesh(source, "source", strict=chosen.surface.strict),
             as_mesh(target, "target", strict=chosen.surface.strict),
         )
+        known = None if landmarks is None else landmarks_of(landmarks, *meshes, landmark_tolerance)
     with clock.stage("device"):
         backend = open_backend(chosen.engine)
         device = backend.describe() if chosen.engine.backend == "opencl" else None
         require_memory(meshes[0].n_vertices, meshes[1].n_vertices, chosen, device)
     with clock.stage("prepare"):
         shapes = prepare_pair(*meshes, chosen, cache)
-    return match_shapes(*shapes, backend, chosen, clock)
+    return match_shapes(*shapes, backend, chosen, clock, known)
 
 
 def match_shapes(
-    source: Shape, target: Shape, backend: Backend, options: Options, clock: Clock | None = None
+    source: Shape,
+    target: Shape,
+    backend: Backend,
+    options: Options,
+    clock: Clock | None = None,
+    landmarks: Landmarks | None = None,
 ) -> Correspondence:
     """Match two prepared shapes on an open backend; see `match`.
 
@@ -81,7 +96,7 @@ def match_shapes(
     would take the cores from each other.
     """
     clock = Clock() if clock is None else clock
-    state = MatchState(source, target, options, options.spectrum.xi)
+    state = MatchState(source, target, options, options.spectrum.xi, landmarks=landmarks)
     with single_threaded_blas(), np.errstate(over="ignore", under="ignore"):
         state = run_stages(state, backend, clock)
     try:

@@ -6,6 +6,7 @@ import importlib.metadata
 import inspect
 import platform
 import warnings as python_warnings
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,11 @@ from clalign.engine.backend import Backend
 from clalign.errors import ClalignWarning, ConfidenceWarning
 from clalign.geometry.shape import Shape
 from clalign.maps.file_maps import file_maps
+from clalign.maps.point_maps import PointMaps
 from clalign.matching.state import MatchState, required
 from clalign.mesh.mesh import Mesh
 from clalign.options import Options, odd_sizes
+from clalign.refinement.landmarks import disagreement, kept_exactly
 from clalign.rules import JudgementRules
 
 PACKAGE = __name__.partition(".")[0]
@@ -34,6 +37,7 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
     """
     source, target, found = state.source, state.target, state.found
     maps, aligned, functional_map = required(state.maps), required(state.aligned), required(state.functional_map)
+    maps, landmarks = _with_landmarks(state, maps)
     size = len(functional_map)
     points = state.points
     source_scale_invariant, target_scale_invariant = state.scale_invariant(required(state.start).signs)
@@ -54,7 +58,13 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
         distortion=local_distortion(source, target, maps.target_of_source),
         alternatives=_alternatives(state),
         timings=timings,
-        warnings=(*_remarks(state, options), *_failures(state), *_doubts(state, options.rules.judgement)),
+        landmarks=landmarks,
+        warnings=(
+            *_contradicted(landmarks),
+            *_remarks(state, options),
+            *_failures(state),
+            *_doubts(state, options.rules.judgement),
+        ),
         device=backend.name,
         options=options,
         versions=versions(),
@@ -64,6 +74,36 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
         xi=state.xi,
         status="interrupted" if state.interrupted else aligned.status,
     )
+
+
+def _with_landmarks(state: MatchState, maps: PointMaps) -> tuple[PointMaps, tuple[dict[str, Any], ...]]:
+    """Return the maps with what they agree with of the landmarks kept exactly, and what became of each landmark."""
+    landmarks = state.landmarks
+    if landmarks is None:
+        return maps, ()
+    off = disagreement(state.target, maps, landmarks)
+    agreed = off <= state.options.rules.landmarks.contradicted + landmarks.tolerance
+    source, target = state.source.mesh, state.target.mesh
+    fates = tuple(
+        {
+            "name": name,
+            "source": int(source.file_index[landmarks.source[number]]),
+            "target": int(target.file_index[landmarks.target[number]]),
+            "distance": float(off[number]),
+            "used": bool(agreed[number]),
+        }
+        for number, name in enumerate(landmarks.names)
+    )
+    return maps if landmarks.tolerance > 0 else kept_exactly(maps, landmarks, agreed), fates
+
+
+def _contradicted(landmarks: tuple[dict[str, Any], ...]) -> list[str]:
+    return [
+        f"landmark {each['name']} (source vertex {each['source']}, target vertex {each['target']}): the map sends it "
+        f"{each['distance']:.2f} sqrt(area) away, and it was left aside; look at it, or at the others"
+        for each in landmarks
+        if not each["used"]
+    ]
 
 
 def local_distortion(source: Shape, target: Shape, target_of_source: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -28,6 +28,7 @@ from clalign.maps.point_maps import PointMaps
 from clalign.matching.metric import choose_metric
 from clalign.matching.state import MatchState, aligned_count, required
 from clalign.options import Options
+from clalign.refinement.landmarks import choose_by_landmarks
 from clalign.refinement.patches import patchwise_maps
 from clalign.refinement.precise import SurfacePoints, closest_points
 from clalign.refinement.rivals import choose_grown, in_doubt
@@ -75,11 +76,25 @@ def search(state: MatchState, backend: Backend, report: Report) -> Iterator[Matc
     )
 
 
+def use_landmarks(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Choose among the candidates of the search, and one that starts from the landmarks, by these."""
+    found, options = required(state.found), state.options
+    chosen = choose_by_landmarks(
+        state.source, state.target, found, required(state.landmarks), wanted_sign(state), options.rules, backend
+    )
+    yield replace(state, found=chosen, landmarks_used=True)
+
+
+def wanted_sign(state: MatchState) -> float:
+    """Return +1 where the orientation is to be kept, −1 where it is to be reversed; as the search has it with "any"."""
+    sign = {"preserving": 1.0, "reversing": -1.0}
+    return sign.get(state.options.search.orientation, math.copysign(1.0, required(state.found).chosen.orientation))
+
+
 def choose(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
     """Choose anew among the candidates of a search in doubt, by what they are grown to."""
     found, options = required(state.found), state.options
-    sign = {"preserving": 1.0, "reversing": -1.0, "any": math.copysign(1.0, found.chosen.orientation)}
-    chosen = choose_grown(state.source, state.target, found, sign[options.search.orientation], options.rules, backend)
+    chosen = choose_grown(state.source, state.target, found, wanted_sign(state), options.rules, backend)
     yield replace(state, found=chosen, rivals_grown=True)
 
 
@@ -186,8 +201,13 @@ STAGES = (
     Stage("search", lambda state: state.found is None and state.options.search.method != "random", search),
     Stage(
         "choice",
+        lambda state: state.found is not None and state.landmarks is not None and not state.landmarks_used,
+        use_landmarks,
+    ),
+    Stage(
+        "choice",
         lambda state: (
-            not (state.rivals_grown or state.interrupted)
+            not (state.rivals_grown or state.interrupted or state.landmarks is not None)
             and state.found is not None
             and in_doubt(state.found, state.options.rules.rivals)
         ),

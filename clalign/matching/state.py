@@ -16,6 +16,7 @@ from clalign.engine.band import Band
 from clalign.geometry.shape import Shape
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.point_maps import PointMaps
+from clalign.mesh.landmarks import Landmarks
 from clalign.options import Options
 from clalign.refinement.precise import SurfacePoints
 from clalign.search.find import SearchResult
@@ -52,6 +53,8 @@ class MatchState:
     xi : exponent of the metric: that of the options, or the one chosen for this pair with the metric "auto".
     metric_chosen : ξ was chosen.
     found : the search's result; None before it, and with the paper's random start.
+    landmarks : pairs of vertices that a user knows, or None.
+    landmarks_used : the chosen map was chosen by them.
     rivals_grown : the chosen map was chosen anew, among candidates that were grown.
     maps : the best maps so far.
     alternatives : maps of the best different candidates.
@@ -71,6 +74,8 @@ class MatchState:
     xi: float
     metric_chosen: bool = False
     found: SearchResult | None = None
+    landmarks: Landmarks | None = None
+    landmarks_used: bool = False
     rivals_grown: bool = False
     maps: PointMaps | None = None
     alternatives: tuple[PointMaps, ...] = ()

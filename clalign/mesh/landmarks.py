@@ -7,7 +7,7 @@ import os
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ class Landmarks:
     source, target : (k,) int64, vertices of the surfaces.
     names : k words for messages: labels of the file, or numbers from 1.
     source_gap, target_gap : (k,) float64, how far each given point was from its vertex, in sqrt(area).
+    tolerance : how far they may be off, in sqrt(area); 0 if they are to be kept exactly.
     """
 
     source: NDArray[np.int64]
@@ -36,6 +37,7 @@ class Landmarks:
     names: tuple[str, ...]
     source_gap: NDArray[np.float64]
     target_gap: NDArray[np.float64]
+    tolerance: float = 0.0
 
     def __len__(self) -> int:
         return len(self.names)
@@ -49,7 +51,7 @@ class _Side:
     names: tuple[str, ...] | None = None
 
 
-def landmarks_of(given: Any, source: Mesh, target: Mesh) -> Landmarks:
+def landmarks_of(given: Any, source: Mesh, target: Mesh, tolerance: float = 0.0) -> Landmarks:
     """Take landmarks in any form a caller may hold them in.
 
     Parameters
@@ -61,16 +63,23 @@ def landmarks_of(given: Any, source: Mesh, target: Mesh) -> Landmarks:
         two arrays, (k,) int or (k, 3) float each
             vertices, or points in the coordinates of the file, of source and target.
     source, target : the surfaces.
+    tolerance : how far they may be off, in sqrt(area).
 
     Raises
     ------
     InputError
-        `given` is none of these, names no vertex of a surface, or a point is far from it.
+        `given` is none of these, names no vertex of a surface, or a point is far from it; or the tolerance is negative.
     """
-    if isinstance(given, (str, os.PathLike)):
-        return read_landmarks([given], source, target)
+    if not 0 <= tolerance < np.inf:
+        raise InputError(f"the tolerance of landmarks must not be negative, got {tolerance!r}")
     if isinstance(given, Landmarks):
         return given
+    return replace(_landmarks_of(given, source, target), tolerance=tolerance)
+
+
+def _landmarks_of(given: Any, source: Mesh, target: Mesh) -> Landmarks:
+    if isinstance(given, (str, os.PathLike)):
+        return read_landmarks([given], source, target)
     try:
         rows = list(given)
     except TypeError as error:

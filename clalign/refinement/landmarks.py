@@ -1,0 +1,148 @@
+"""What known landmarks say of the candidates of a search, and of the final maps.
+
+A landmark that all good maps contradict is more likely a slip of the hand than a discovery, so every landmark's say is
+bounded: candidates are compared by the mean of capped distances, and landmarks that the chosen map sends far away are
+named and left aside.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clalign.engine.backend import Backend
+from clalign.geometry.heat import distance_solver
+from clalign.geometry.shape import Shape
+from clalign.maps.functional_maps import polar_factor, two_way_functional_map
+from clalign.maps.nearest import nearest_rows
+from clalign.maps.point_maps import PointMaps
+from clalign.mesh.landmarks import Landmarks
+from clalign.rules import LandmarkRules, Rules
+from clalign.search.batch import SamplePair, map_distances, up_sample
+from clalign.search.find import Candidate, SearchResult
+from clalign.search.score import map_scores
+
+STARTED_FROM = 3
+"""Distances to fewer points tell hardly any part of a surface from another."""
+
+
+def landmark_distances(shape: Shape, vertices: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return (k, n) geodesic distances from vertices, in sqrt(area)."""
+    mesh = shape.mesh
+    solver = distance_solver(mesh.vertices, mesh.faces, mesh.name)
+    return np.stack([solver.row(int(vertex)) for vertex in vertices])
+
+
+def choose_by_landmarks(
+    source: Shape,
+    target: Shape,
+    found: SearchResult,
+    landmarks: Landmarks,
+    sign: float,
+    rules: Rules,
+    backend: Backend,
+) -> SearchResult:
+    """Return the result of a search with its candidates put in order by landmarks, then by score.
+
+    With three landmarks or more, one candidate starts from them: vertices with similar distances to all landmarks are
+    matched. Candidates that send landmarks farther away than the best does are no rivals, so that the confidence is
+    that among maps which agree with what is known.
+
+    Parameters
+    ----------
+    found : the candidates of the search.
+    landmarks : pairs of vertices.
+    sign : +1 where the orientation is to be kept, −1 where it is to be reversed.
+    """
+    limits = rules.landmarks
+    pair = SamplePair.of(source, target, backend)
+    level = pair.fitted(rules.search.fine.last)
+    rows = landmark_distances(source, landmarks.source), landmark_distances(target, landmarks.target)
+    every = [each.functional for each in (found.chosen, *found.alternatives)][: limits.most]
+    size = min(len(each) for each in every)
+    functional = np.stack([each[:size, :size] for each in every])
+    if len(landmarks) >= STARTED_FROM:
+        start = _started(source, target, rows, size, backend)
+        grown = up_sample(pair, start[None], rules.search.settle).functional
+        started = np.zeros((1, size, size))
+        low = min(size, grown.shape[1])
+        started[0, :low, :low] = grown[0, :low, :low]
+        functional = np.concatenate([functional, started])
+    batch = up_sample(pair, functional, [level])
+    misses = np.array([_miss(source, target, landmarks, rows, each, limits) for each in batch.functional])
+    scores = map_scores(pair, batch, level.points)
+    orientation = pair.orientations(batch, rules.search.scored_products)
+    failed = sign * orientation <= rules.search.least_orientation
+    agreeing = misses <= misses[~failed].min(initial=misses.min()) + limits.worse
+    order = np.lexsort((scores, ~agreeing, failed))
+    between = map_distances(pair, batch.index, level.points)
+    distinct = [int(order[0])]
+    for number in order[1:]:
+        if (between[distinct, number] > rules.search.distinct).all():
+            distinct.append(int(number))
+    chosen, *others = (
+        Candidate(
+            batch.functional[each].astype(np.float64),
+            float(scores[each]),
+            float(orientation[each]),
+            float(between[distinct[0], each]),
+        )
+        for each in distinct
+    )
+    smallest = np.finfo(np.float64).tiny
+    rivals = [each for each in distinct[1:] if agreeing[each] and not failed[each]]
+    ratios = np.maximum(scores[rivals], smallest) / max(float(scores[distinct[0]]), smallest)
+    return SearchResult(chosen, tuple(others), float(np.log(np.maximum(ratios, 1.0)).min(initial=math.inf)))
+
+
+def _started(
+    source: Shape,
+    target: Shape,
+    rows: tuple[NDArray[np.float64], NDArray[np.float64]],
+    size: int,
+    backend: Backend,
+) -> NDArray[np.float64]:
+    """The functional map (size, size) of the maps between vertices with similar distances to all landmarks.
+
+    Distances to each landmark count in units of their mean over the surface, which forgives a longer limb.
+    """
+    x, y = ((row / (row @ shape.mass)[:, None]).T for row, shape in zip(rows, (source, target), strict=True))
+    maps = PointMaps(nearest_rows(x, y, backend=backend), nearest_rows(y, x, backend=backend))
+    return two_way_functional_map(source.basis, target.basis, maps, size, backend)
+
+
+def _miss(
+    source: Shape,
+    target: Shape,
+    landmarks: Landmarks,
+    rows: tuple[NDArray[np.float64], NDArray[np.float64]],
+    functional: NDArray[np.floating],
+    rules: LandmarkRules,
+) -> float:
+    """Mean distance between landmarks and their images under a functional map, both ways, each capped."""
+    factor = polar_factor(functional[None].astype(np.float64))[0]
+    size = len(factor)
+    phi, psi = source.basis.functions[:, :size], target.basis.functions[:, :size]
+    to_source = nearest_rows(psi[landmarks.target] @ factor, phi)
+    to_target = nearest_rows(phi[landmarks.source] @ factor.T, psi)
+    number = np.arange(len(landmarks))
+    off = np.concatenate([rows[0][number, to_source], rows[1][number, to_target]])
+    return float(np.minimum(off, rules.cap).mean())
+
+
+def disagreement(target: Shape, maps: PointMaps, landmarks: Landmarks) -> NDArray[np.float64]:
+    """Return (k,) how far each landmark of the target is from where a map sends that of the source, in sqrt(area)."""
+    rows = landmark_distances(target, landmarks.target)
+    images = maps.target_of_source[landmarks.source]
+    return np.asarray(rows[np.arange(len(landmarks)), images], dtype=np.float64)
+
+
+def kept_exactly(maps: PointMaps, landmarks: Landmarks, agreed: NDArray[np.bool_]) -> PointMaps:
+    """Return maps that send the landmarks which agree with them (k,) exactly to each other."""
+    source, target = landmarks.source[agreed], landmarks.target[agreed]
+    forward, backward = maps.target_of_source.copy(), maps.source_of_target.copy()
+    forward[source], backward[target] = target, source
+    return replace(maps, target_of_source=forward, source_of_target=backward)

@@ -1,0 +1,92 @@
+"""What landmarks do to a match: they settle symmetries, are kept, and a wrong one is named and spoils nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapes
+from numpy.typing import NDArray
+from prepared import MIDDLE
+
+from clalign.correspondence import Correspondence
+from clalign.matching.pair import match
+from clalign.mesh.mesh import Mesh, mesh_from_arrays
+
+OPTIONS = MIDDLE.replace({"geodesics.search_samples": 150, "alignment.outer_iterations": 1})
+
+
+@pytest.fixture(scope="module")
+def ellipsoids() -> tuple[Mesh, Mesh, NDArray[np.int64]]:
+    """A body that half-turns about three axes carry to itself, and a renumbered copy."""
+    directions, faces = shapes.icosphere(3)
+    vertices = directions * [1.0, 0.7, 0.45]
+    other, other_faces, new_of_old = shapes.renumbered(vertices, faces, 3)
+    return mesh_from_arrays(vertices, faces, "one"), mesh_from_arrays(other, other_faces, "other"), new_of_old
+
+
+def mean_error(result: Correspondence, truth: NDArray[np.int64]) -> float:
+    """Mean distance in space to the true vertices, in sqrt(area)."""
+    places = result.target.vertices
+    return float(np.linalg.norm(places[result.target_of_source] - places[truth], axis=1).mean())
+
+
+@pytest.mark.filterwarnings("ignore::clalign.errors.ConfidenceWarning")
+@pytest.mark.parametrize("turn", [[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+def test_one_landmark_settles_a_symmetry(ellipsoids: tuple[Mesh, Mesh, NDArray[np.int64]], turn: list[int]) -> None:
+    """Each of the four maps is the right one for somebody."""
+    source, target, new_of_old = ellipsoids
+    points = source.file_positions()
+    image = np.linalg.norm(points[:, None] * turn - points[None], axis=2).argmin(axis=1)
+    truth = new_of_old[image]
+    known = int(np.argmax(points @ [0.5, 0.6, 0.9]))
+    result = match(source, target, OPTIONS, landmarks=[[known, truth[known]]])
+    assert mean_error(result, truth) < 0.05
+    assert result.target_of_source[known] == truth[known]
+    assert result.landmarks[0]["used"]
+
+
+@pytest.fixture(scope="module")
+def bodies() -> tuple[Mesh, Mesh, NDArray[np.int64]]:
+    vertices, faces = shapes.bumpy_sphere(3)
+    other, other_faces, new_of_old = shapes.renumbered(shapes.bent(vertices), faces, 5)
+    return mesh_from_arrays(vertices, faces, "one"), mesh_from_arrays(other, other_faces, "other"), new_of_old
+
+
+def spread(mesh: Mesh, count: int) -> NDArray[np.int64]:
+    chosen = [0]
+    while len(chosen) < count:
+        gaps = np.linalg.norm(mesh.vertices[:, None] - mesh.vertices[chosen][None], axis=2).min(axis=1)
+        chosen.append(int(gaps.argmax()))
+    return np.array(chosen)
+
+
+def test_true_landmarks_are_kept_and_a_wrong_one_is_named(
+    bodies: tuple[Mesh, Mesh, NDArray[np.int64]], tmp_path: Path
+) -> None:
+    source, target, new_of_old = bodies
+    known = spread(source, 5)
+    pairs = np.stack([known, new_of_old[known]], axis=1)
+    plain = match(source, target, OPTIONS)
+    result = match(source, target, OPTIONS, landmarks=pairs)
+    np.testing.assert_array_equal(result.target_of_source[known], new_of_old[known])
+    np.testing.assert_array_equal(result.source_of_target[new_of_old[known]], known)
+    assert mean_error(result, new_of_old) <= mean_error(plain, new_of_old) + 1e-3
+    pairs[2, 1] = new_of_old[spread(source, 6)[5]]
+    wrong = match(source, target, OPTIONS, landmarks=pairs)
+    assert mean_error(wrong, new_of_old) <= mean_error(plain, new_of_old) + 1e-3
+    assert [each["used"] for each in wrong.landmarks] == [True, True, False, True, True]
+    assert any(words.startswith(f"landmark 3 (source vertex {known[2]}") for words in wrong.warnings)
+    wrong.save(tmp_path / "result")
+    assert Correspondence.load(tmp_path / "result").landmarks == wrong.landmarks
+
+
+def test_landmarks_with_a_tolerance_are_not_forced(bodies: tuple[Mesh, Mesh, NDArray[np.int64]]) -> None:
+    source, target, new_of_old = bodies
+    known = spread(source, 4)
+    off = [int(target.faces[(target.faces == new_of_old[vertex]).any(axis=1)][0].max()) for vertex in known]
+    result = match(source, target, OPTIONS, landmarks=(known, np.array(off)), landmark_tolerance=0.1)
+    plain = match(source, target, OPTIONS)
+    assert mean_error(result, new_of_old) <= mean_error(plain, new_of_old) + 1e-3
+    assert all(each["used"] for each in result.landmarks)
