@@ -109,11 +109,11 @@ def _keep(
     exam.loose = exam.loose.with_more(loose, surface.vertices[places], numbers.astype(np.int64))
     samples = np.unique(rank, return_index=True)[1][1:]
     problem = f"the mesh has {len(areas)} separate pieces: {_described(surface, rank_of_face, areas, NAMED)}"
-    which = "the largest is matched" if exam.component is None else f"piece {exam.component} is matched"
+    which = "the largest is matched" if exam.component is None else f"piece {exam.component} is matched, as asked for"
     left = len(off) - len(loose)
     parts = [which]
     if len(loose):
-        parts.append(f"{len(loose)} vertices of others are carried along with it")
+        parts.append(f"{len(loose)} vertices of other pieces are carried along with it")
     if left:
         parts.append(f"{left} {plural(left, 'vertex is', 'vertices are')} left out, without a match (-1 in the maps)")
     exam.add("small-components", len(areas), problem, vertices=samples, action="; ".join(parts))
