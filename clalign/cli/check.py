@@ -79,7 +79,8 @@ def run(args: argparse.Namespace) -> int:
         )
         usable = True
     terminal = Terminal(as_json=args.json)
-    if "repaired" in document and document["repaired"]["area_share"] < LITTLE_AREA:
+    # Who asks for one piece does not expect the area of the others.
+    if "repaired" in document and args.component is None and document["repaired"]["area_share"] < LITTLE_AREA:
         terminal.warn(_little_left(document["repaired"]))
     for line in report(document):
         terminal.say(line)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from assembled import File, assembled, is_closed, truth
+from assembled import assembled, is_closed, truth
 from collections_small import OPTIONS
 from malformed import WRITERS
 
@@ -95,10 +95,10 @@ def test_results_from_before_vertices_were_carried_load(true_correspondence: Cor
     np.testing.assert_array_equal(loaded.source_status, VertexStatus.MATCHED)
 
 
-def test_strict_options_refuse_what_would_be_put_right(file: File = SOURCE) -> None:
+def test_strict_options_refuse_what_would_be_put_right() -> None:
     strict = OPTIONS.replace({"surface.strict": True})
     with pytest.raises(MeshError, match="source: the mesh has 3 separate pieces"):
-        clalign.match((file.vertices, file.faces), (TARGET.vertices, TARGET.faces), strict)
-    read = as_mesh((file.vertices, file.faces))
+        clalign.match((SOURCE.vertices, SOURCE.faces), (TARGET.vertices, TARGET.faces), strict)
+    read = as_mesh((SOURCE.vertices, SOURCE.faces))
     # A mesh that is loaded already is taken as it is.
     assert clalign.match(read, as_mesh((TARGET.vertices, TARGET.faces)), strict).source is read
