@@ -248,8 +248,8 @@ def _refuse_for_area(exam: Examination) -> None:
         far = np.flatnonzero(away > np.sqrt(FAR_AWAY) * away.max())
         count = len(far)
         lie = plural(count, "vertex lies", "vertices lie")
-        problem = f"{count} {lie} so far away that the rest of the surface has no area beside them"
-        exam.add("no-area", count, problem, vertices=far, advice="correct their coordinates, or remove their faces")
+        problem = f"{count} {lie} so far away that the rest has no area beside {plural(count, 'it', 'them')}"
+        exam.add("no-area", count, problem, vertices=far, advice="mend their coordinates, or remove their faces")
         return
     problem = "all faces have zero area: the vertices lie on a line or at a point"
     bad = np.arange(len(exam.surface.faces))

@@ -15,7 +15,7 @@ class Examination:
 
     strict : refuse what cannot be read as it stands, instead of reading it as the surface that was most likely meant.
     component : number of the piece to keep, from 1 for the largest; None for the largest if it stands out.
-    cut_open : cut a one-sided surface open instead of refusing it.
+    cut_open : make a copy that is one piece: a one-sided surface is cut open, and nothing is carried along.
     """
 
     def __init__(
