@@ -215,7 +215,8 @@ def _check_area(exam: Examination) -> None:
         return
     if len(alone):
         problem = f"{len(alone)} {plural(len(alone), 'vertex has', 'vertices have')} only zero-area faces around"
-        action = "" if exam.strict else "joined to their nearest neighbours, and have one match with them"
+        one, many = "joined to its nearest neighbour", "joined to their nearest neighbours"
+        action = "" if exam.strict else f"{plural(len(alone), one, many)}, to share one match"
         advice = "{repair}" if exam.strict else ""
         exam.add("no-area-vertex", len(alone), problem, vertices=alone, faces=bad, action=action, advice=advice)
         if not exam.strict:

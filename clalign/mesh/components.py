@@ -52,7 +52,7 @@ def check_components(exam: Examination) -> None:
             f"the mesh has {count} separate pieces, {similar} of them of similar size: "
             f"{_described(exam.surface, rank_of_face, areas[ranked], 1 + int(np.flatnonzero(rivals).max()))}"
         )
-        advice = "say which is meant with `--component 1`, 2, … (in Python: `load_mesh(path, component=1)`)"
+        advice = "say which is meant with `--component 1`, 2, … (in Python: `clalign.load_mesh(path, component=1)`)"
         samples = np.unique(_rank_of_vertex(exam.surface, rank_of_face), return_index=True)[1]
         exam.add("components", count, problem, vertices=samples, advice=advice)
         return

@@ -36,7 +36,7 @@ def close_seams(exam: Examination) -> None:
     if len(moved) and not _twisted(closed).any():
         lie = plural(len(moved), "vertex lies", "vertices lie")
         problem = f"{len(moved)} {lie} on open edges at the place of another one (within {distance:.2g})"
-        exam.add("open-seam", len(moved), problem, vertices=moved, action="joined to it, and have one match with it")
+        exam.add("open-seam", len(moved), problem, vertices=moved, action="joined to it, to share one match")
         exam.surface = closed
     exam.surface, cut = cut_at_junctions(exam.surface, distance)
     if len(cut):
