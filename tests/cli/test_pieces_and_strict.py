@@ -56,7 +56,7 @@ def test_two_bodies_are_matched_once_it_is_said_which(files: dict[str, Path], tm
     assert f"error: {files['two']}: the mesh has 2 separate pieces, 2 of them of similar size: piece 1 with 162 " in (
         shown.err
     )
-    assert "around (3.656, " in shown.err
+    assert "around (3.657, " in shown.err
     assert "say which is meant with `--component 1`" in shown.err
     assert left_in(tmp_path) == []
     for number, rows, said in (
