@@ -16,7 +16,7 @@ import numpy as np
 import shapes
 from numpy.typing import NDArray
 
-REFUSED_STRICTLY = ("no-area-vertex", "non-manifold-edge", "non-manifold-vertex")
+REFUSED_STRICTLY = ("no-faces", "no-area-vertex", "non-manifold-edge", "non-manifold-vertex")
 """Kinds that are read as the surface that was most likely meant, unless asked to read strictly."""
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -216,7 +216,7 @@ def surfaces() -> list[Malformed]:
     unused_nan = (np.concatenate([vertices, [[np.nan] * 3]]), faces)
     cases: list[tuple[str, Arrays, str, bool, tuple[int, ...], bool]] = [
         ("no vertices", (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)), "no-vertices", True, (), False),
-        ("point cloud", (vertices, np.zeros((0, 3), dtype=np.int64)), "no-faces", True, (), False),
+        ("point cloud", (vertices, np.zeros((0, 3), dtype=np.int64)), "no-faces", False, (), True),
         ("index beyond the end", _with_face(5, [0, 1, n]), "index-out-of-range", True, (5,), True),
         ("negative index", _with_face(9, [0, -1, 2]), "index-out-of-range", True, (9,), True),
         ("enormous index", _with_face(9, [0, 2**62, 2]), "index-out-of-range", True, (9,), True),

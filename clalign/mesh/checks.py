@@ -8,15 +8,20 @@ passed.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from clalign.errors import MeshError
 from clalign.mesh import topology
+from clalign.mesh.cloud import surface_of_points
 from clalign.mesh.components import check_components
-from clalign.mesh.defects import Diagnosis, Surface
+from clalign.mesh.defects import SHOWN, Defect, Diagnosis, LoosePieces, Severity, Surface
 from clalign.mesh.examination import Examination, plural
 from clalign.mesh.surface_checks import (
+    MIN_VERTICES,
     check_boundary,
     check_manifold,
     check_orientation,
@@ -29,6 +34,8 @@ from clalign.mesh.welding import joined, neighbours_of_bare
 MAX_COORDINATE = 1e150
 """Squares of larger coordinates overflow float64, and squares of the inverse underflow."""
 _ROUNDS = 3
+BESIDE = 5.0
+"""Points of a cloud farther from its surface than so many mean edges are left out."""
 NO_AREA = 1e-12
 """A face below this part of its squared longest side, or a vertex below this part of the mean, has no area."""
 HARDLY_ANY_AREA = 1e-7
@@ -38,12 +45,19 @@ FAR_AWAY = 1e-6
 
 
 def diagnose(
-    vertices: ArrayLike, faces: ArrayLike, name: str = "mesh", *, strict: bool = False, component: int | None = None
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    name: str = "mesh",
+    *,
+    strict: bool = False,
+    component: int | None = None,
+    normals: NDArray[np.float64] | None = None,
 ) -> Diagnosis:
-    """Check a mesh, vertices (n, 3) and faces (m, 3) from 0, and read it as a surface.
+    """Check a mesh, vertices (n, 3) and faces (m, 3) from 0, and read it as a surface; without faces as a cloud.
 
     strict : refuse what is no surface as it stands; otherwise it is put right as it was most likely meant.
     component : number of the piece to keep, from 1 for the largest; None for the largest if it stands out.
+    normals : (n, 3) of a cloud, which say where the front of an open sheet is; None if they are not known.
 
     Raises
     ------
@@ -51,7 +65,7 @@ def diagnose(
         The arrays do not have the shape of a triangle mesh; the message calls it `name`.
     """
     surface = Surface.whole(*mesh_arrays(vertices, faces, name))
-    return examined(Examination(surface, strict=strict, component=component))
+    return examined(Examination(surface, strict=strict, component=component, normals=normals))
 
 
 def examined(exam: Examination) -> Diagnosis:
@@ -91,6 +105,7 @@ def _put_right(exam: Examination) -> None:
             return
     for check in _LAST_CHECKS:
         check(exam)
+    _attach_points(exam)
 
 
 def mesh_arrays(
@@ -128,6 +143,44 @@ def _check_empty(exam: Examination) -> None:
     elif not len(exam.surface.faces):
         problem = f"the mesh has {count} vertices but no faces"
         exam.add("no-faces", 1, problem, advice="a point cloud must be triangulated first")
+
+
+def _check_cloud(exam: Examination) -> None:
+    """Lay a surface through points without faces."""
+    surface = exam.surface
+    sound = np.flatnonzero((np.abs(surface.vertices) <= MAX_COORDINATE).all(axis=1))
+    if exam.strict or len(surface.faces) or len(sound) < MIN_VERTICES:
+        return
+    normals = None if exam.normals is None else exam.normals[sound]
+    faces = sound[surface_of_points(surface.vertices[sound], normals)]
+    if len(faces):
+        problem = f"the {len(surface.vertices):,} points have no faces"
+        exam.add("no-faces", 1, problem, action=f"a surface of {len(faces):,} triangles was laid through them")
+        exam.surface = replace(surface, faces=faces, face_index=np.arange(len(faces)))
+        exam.cloud = exam.surface
+        # The triangles are turned one way; where they close to one side they touch and are no surface.
+        exam.cut_open = True
+
+
+def _attach_points(exam: Examination) -> None:
+    """Give points of a cloud that are on no face, but near the surface, the match of the nearest one that is."""
+    surface, cloud = exam.surface, exam.cloud
+    if cloud is None:
+        return
+    corners = surface.vertices[surface.faces]
+    edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
+    off = np.flatnonzero((surface.vertex_of_file() < 0) & np.isfinite(cloud.vertices).all(axis=1))
+    distance, nearest = cKDTree(surface.vertices).query(cloud.vertices[off])
+    near = distance <= BESIDE * edge
+    joined_to = surface.joined_to.copy()
+    joined_to[off[near]] = surface.file_index[nearest[near]]
+    exam.surface = replace(surface, joined_to=joined_to)
+    exam.loose = LoosePieces.none()
+    if near.any():
+        problem = f"{int(near.sum()):,} points lie beside that surface"
+        numbers = tuple(off[near][:SHOWN].tolist())
+        action = "each has the match of the nearest point on it"
+        exam.defects.append(Defect("point-beside", Severity.HANDLED, int(near.sum()), problem, numbers, (), action))
 
 
 def _check_range(exam: Examination) -> None:
@@ -276,6 +329,7 @@ def bare_vertices(surface: Surface) -> tuple[NDArray[np.bool_], NDArray[np.bool_
 
 
 _VALUE_CHECKS = (
+    _check_cloud,
     _check_empty,
     _check_range,
     _check_unreferenced,

@@ -112,8 +112,11 @@ def _keep(
     which = f"piece {chosen + 1} is matched, as asked for" if chosen else "the largest is matched"
     left = len(off) - len(loose)
     parts = [which]
-    if exam.cut_open:
-        parts, loose, left = [f"piece {chosen + 1} alone is kept"], loose[:0], 0
+    if exam.alone:
+        parts = [f"piece {chosen + 1} alone is kept"]
+    if exam.alone or exam.cloud is not None:
+        # Points of a cloud get their matches later, from the surface near them.
+        loose, left = loose[:0], 0
     if len(loose):
         parts.append(f"{len(loose)} vertices of other pieces are carried along with it")
     if left:

@@ -55,7 +55,7 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False, compon
     surface = _readable(Surface.whole(points, triangles), notes)
     if merge:
         surface = _merged(surface, notes)
-    diagnosis = examined(Examination(surface, component=component, cut_open=True))
+    diagnosis = examined(Examination(surface, component=component, cut_open=True, alone=True))
     left = surface if diagnosis.surface is None else diagnosis.surface
     advice = "" if merge or not duplicate_places(left.vertices) else "add --merge to join vertices at equal positions"
     if diagnosis.refused or diagnosis.surface is None:
@@ -73,7 +73,9 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False, compon
 
 
 def _area_share(surface: Surface, kept: IntArray) -> float:
-    """Area of the faces with the given numbers `kept`, as a part of all."""
+    """Area of the faces with the given numbers `kept`, as a part of all; 1 if a surface was laid through points."""
+    if not len(surface.faces):
+        return 1.0
     areas = topology.face_areas(topology.boxed(surface.vertices)[0], surface.faces)
     return float(areas[np.isin(surface.face_index, kept)].sum() / areas.sum())
 
@@ -88,7 +90,7 @@ def _readable(surface: Surface, notes: list[str]) -> Surface:
     placed: BoolArray = known.copy()
     placed[known] = np.all(sound[surface.faces[known]], axis=1)
     _note(notes, known & ~placed, "faces at NaN, infinite or giant coordinates dropped")
-    return surface.keep(placed)
+    return surface.keep(placed) if len(surface.faces) else surface
 
 
 def _merged(surface: Surface, notes: list[str]) -> Surface:
