@@ -227,6 +227,7 @@ def surfaces() -> list[Malformed]:
         ("one triangle", (triangle, np.array([[0, 1, 2]])), "too-few-vertices", True, (), False),
         ("all on a line", (collinear, fan), "no-area", True, (0, 1, 2), False),
         ("all at a point", (np.ones((n, 3)), faces), "no-area", True, (), False),
+        ("vertex far away", _with_vertex(20, [1e20, 0, 0]), "no-area", True, (20,), False),
         ("vertex without area", _collapsed_vertex(), "no-area-vertex", False, (12,), True),
         ("two bodies", _joined((vertices, faces), shifted), "components", True, (), True),
         ("fin", _with_fin(), "non-manifold-edge", False, (len(faces),), True),

@@ -38,6 +38,10 @@ BESIDE = 5.0
 """Points of a cloud farther from its surface than so many mean edges are left out."""
 NO_AREA = 1e-12
 """A face below this part of its squared longest side, or a vertex below this part of the mean, has no area."""
+HARDLY_ANY_AREA = 1e-7
+"""Below this part of the squared longest sides the area of all faces together is lost in rounding."""
+FAR_AWAY = 1e-6
+"""A few vertices are far away if half of all lie this near each other, as a part of the farthest distance."""
 
 
 def diagnose(
@@ -255,16 +259,17 @@ def _leave_out(exam: Examination, bad: NDArray[np.bool_], kind: str, one: str, m
 
 def _check_area(exam: Examination) -> None:
     """Tolerate flat faces, but not a vertex without area: it would have no mass."""
+    if _hardly_any_area(exam.surface):
+        _refuse_for_area(exam)
+        return
     bare, flat = bare_vertices(exam.surface)
     alone, bad = np.flatnonzero(bare), np.flatnonzero(flat)
     if not len(bad):
         return
-    if flat.all():
-        problem = "all faces have zero area: the vertices lie on a line or at a point"
-        exam.add("no-area", len(bad), problem, faces=bad, advice="export the mesh again with more digits")
-    elif len(alone):
+    if len(alone):
         problem = f"{len(alone)} {plural(len(alone), 'vertex has', 'vertices have')} only zero-area faces around"
-        action = "" if exam.strict else "joined to their nearest neighbours, whose match they have"
+        one, many = "joined to its nearest neighbour", "joined to their nearest neighbours"
+        action = "" if exam.strict else f"{plural(len(alone), one, many)}, to share one match"
         advice = "{repair}" if exam.strict else ""
         exam.add("no-area-vertex", len(alone), problem, vertices=alone, faces=bad, action=action, advice=advice)
         if not exam.strict:
@@ -273,6 +278,36 @@ def _check_area(exam: Examination) -> None:
         problem = f"{len(bad)} {plural(len(bad), 'face has', 'faces have')} zero area"
         action = "kept, since the surface would have holes without them; cotangents are bounded there"
         exam.add("zero-area-face", len(bad), problem, faces=bad, action=action)
+
+
+def _hardly_any_area(surface: Surface) -> bool:
+    """Whether the faces together are too thin for their length."""
+    area, longest = _measured(surface)
+    return bool(area.sum() <= HARDLY_ANY_AREA * longest.sum())
+
+
+def _measured(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Area and squared longest side of the faces (m,), in units of the box."""
+    inside, _, _ = topology.boxed(surface.vertices)
+    corners = inside[surface.faces]
+    longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
+    return topology.face_areas(inside, surface.faces), longest
+
+
+def _refuse_for_area(exam: Examination) -> None:
+    """Refuse a surface without area; mostly a few vertices lie so far away that the rest is a point beside them."""
+    inside, _, _ = topology.boxed(exam.surface.vertices)
+    away = np.linalg.norm(inside - np.median(inside, axis=0), axis=1)
+    if np.median(away) < FAR_AWAY * away.max():
+        far = np.flatnonzero(away > np.sqrt(FAR_AWAY) * away.max())
+        count = len(far)
+        lie = plural(count, "vertex lies", "vertices lie")
+        problem = f"{count} {lie} so far away that the rest has no area beside {plural(count, 'it', 'them')}"
+        exam.add("no-area", count, problem, vertices=far, advice="mend their coordinates, or remove their faces")
+        return
+    problem = "all faces have zero area: the vertices lie on a line or at a point"
+    bad = np.arange(len(exam.surface.faces))
+    exam.add("no-area", len(bad), problem, faces=bad, advice="export the mesh again with more digits")
 
 
 def _collapse(exam: Examination, bare: NDArray[np.bool_]) -> None:
@@ -288,12 +323,9 @@ def _collapse(exam: Examination, bare: NDArray[np.bool_]) -> None:
 
 def bare_vertices(surface: Surface) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Vertices (n) without area around them, and faces (m) without area."""
-    inside, _, _ = topology.boxed(surface.vertices)
-    corners = inside[surface.faces]
-    longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
-    flat = topology.face_areas(inside, surface.faces) <= NO_AREA * longest
-    around = topology.vertex_areas(inside, surface.faces)
-    return around <= NO_AREA * around.mean(), flat
+    area, longest = _measured(surface)
+    around = np.bincount(surface.faces.ravel(), weights=np.repeat(area / 3.0, 3), minlength=len(surface.vertices))
+    return around <= NO_AREA * around.mean(), area <= NO_AREA * longest
 
 
 _VALUE_CHECKS = (

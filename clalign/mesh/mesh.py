@@ -217,7 +217,8 @@ def unit_area(
     """
     inside, middle, extent = boxed(vertices)
     areas = face_areas(inside, faces)
-    area = float(areas.sum())
-    centroid = (areas[:, None] * inside[faces].mean(axis=1)).sum(axis=0) / area
-    side = float(np.sqrt(area))
-    return (inside - centroid) / side, extent * side, middle + extent * centroid
+    centroid = (areas[:, None] * inside[faces].mean(axis=1)).sum(axis=0) / float(areas.sum())
+    # Moving rounds the places, and thin faces change their area with them; what counts is that of the moved ones.
+    centred = inside - centroid
+    side = float(np.sqrt(face_areas(centred, faces).sum()))
+    return centred / side, extent * side, middle + extent * centroid

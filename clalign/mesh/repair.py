@@ -1,8 +1,7 @@
 """Make a usable surface out of a defective mesh, with the way back to its file's vertex numbers.
 
 Loading reads most meshes as the surface that was meant (`clalign.mesh.checks`). A repaired copy goes further: faces
-that name no vertex or lie at no place are dropped, one-sided surfaces are cut open, and the largest piece alone is
-kept.
+that name no vertex or lie at no place are dropped, one-sided surfaces are cut open, and one piece alone is kept.
 """
 
 from __future__ import annotations
@@ -40,10 +39,11 @@ class Repaired:
     """What joining vertices at equal positions may mend, where that was not done and would join any; else empty."""
 
 
-def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False) -> Repaired:
+def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False, component: int = 1) -> Repaired:
     """Drop, cut and flip whatever keeps a mesh, (n, 3) and (m, 3), from being one oriented surface.
 
     merge : first join vertices at exactly equal positions.
+    component : number of the piece to keep, from 1 for the largest.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False) -> Rep
     surface = _readable(Surface.whole(points, triangles), notes)
     if merge:
         surface = _merged(surface, notes)
-    diagnosis = examined(Examination(surface, component=1, cut_open=True))
+    diagnosis = examined(Examination(surface, component=component, cut_open=True, alone=True))
     left = surface if diagnosis.surface is None else diagnosis.surface
     advice = "" if merge or not duplicate_places(left.vertices) else "add --merge to join vertices at equal positions"
     if diagnosis.refused or diagnosis.surface is None:
