@@ -60,6 +60,12 @@ def add_match(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
     _add_file_arguments(parser)
     parser.add_argument("--force", action="store_true", help="replace an earlier result in DIR")
     parser.add_argument(
+        "--start",
+        metavar="MAP",
+        help="start from a map instead of a search: a text file with the target vertex of every source vertex (-1: not "
+        "known), a result folder, 'extrinsic' for shapes that lie on each other, or 'rigid' for nearly so",
+    )
+    parser.add_argument(
         "--landmarks",
         metavar="FILE",
         nargs="+",
@@ -315,7 +321,8 @@ def _matched(
     with warnings.catch_warnings(record=True) as seen, terminal.progress() as progress:
         warnings.simplefilter("always", ClalignWarning)
         source, target, landmarks = given
-        result = match(source, target, options, landmarks=landmarks, progress=progress, cache=cache)
+        start = getattr(args, "start", None)
+        result = match(source, target, options, start=start, landmarks=landmarks, progress=progress, cache=cache)
     raised = [str(warning.message) for warning in seen if issubclass(warning.category, ClalignWarning)]
     for message in dict.fromkeys([*result.warnings, *raised]):
         terminal.warn(message)

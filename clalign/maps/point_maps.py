@@ -55,6 +55,28 @@ def check_map(name: str, values: NDArray[np.int64], count: int, other_count: int
         )
 
 
+def read_map(path: Path) -> NDArray[np.int64]:
+    """Read a vertex map that `write_map` wrote, or any text with a whole number a line.
+
+    Raises
+    ------
+    ResultError
+        The file cannot be read, or a line is no whole number.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").split("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ResultError(f"{path}: cannot be read ({error})") from error
+    numbers = []
+    for number, line in enumerate(lines):
+        if line.strip():
+            try:
+                numbers.append(int(line))
+            except ValueError as error:
+                raise ResultError(f"{path}: line {number + 1} is {line[:40]!r}, not a vertex number") from error
+    return np.array(numbers, dtype=np.int64)
+
+
 def write_map(path: Path, values: NDArray[np.int64]) -> None:
     """Write a vertex map as text: line i holds the 0-based vertex of the other file, -1 for none."""
     path.write_text("".join(f"{value}\n" for value in values.tolist()), encoding="ascii")

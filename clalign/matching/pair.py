@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.ctrl_c import plain_interrupts
@@ -15,6 +16,7 @@ from clalign.geometry.shape import Shape, prepare_pair
 from clalign.geometry.workers import single_threaded_blas
 from clalign.matching.loop import Clock, Progress, run_stages
 from clalign.matching.result import correspondence, warn_of_doubts
+from clalign.matching.start import starting_map
 from clalign.matching.state import MatchState
 from clalign.mesh.landmarks import Landmarks, landmarks_of
 from clalign.mesh.mesh import as_mesh
@@ -27,6 +29,7 @@ def match(
     target: Any,
     options: Options | None = None,
     *,
+    start: Any = None,
     landmarks: Any = None,
     landmark_tolerance: float = 0.0,
     progress: Progress | None = None,
@@ -39,6 +42,8 @@ def match(
     source, target : a path, a ``trimesh.Trimesh``, a pair ``(vertices, faces)``, or a loaded `Mesh` (which
         `load_mesh` makes of one of several pieces in a file).
     options : see `Options`; the default preset if None.
+    start : a map to start from, or how the shapes lie in space, instead of a search; see
+        `clalign.matching.start.starting_map`.
     landmarks : what is known: pairs of vertices (k, 2), two arrays of vertices or of points, or files; see
         `clalign.mesh.landmarks.landmarks_of`. They choose among candidate maps and, with three or more, start one;
         those that the final map agrees with are kept exactly, others are named in a warning.
@@ -57,7 +62,7 @@ def match(
     OptionError
         `options` or `cache` is something else, such as a name.
     InputError
-        The landmarks do not fit the meshes.
+        The start or the landmarks do not fit the meshes.
     MeshError
         A mesh cannot be read or has a defect that the method cannot work with; the message says what to do.
     MemoryBudgetError
@@ -72,6 +77,7 @@ def match(
             as_mesh(source, "source", strict=chosen.surface.strict),
             as_mesh(target, "target", strict=chosen.surface.strict),
         )
+        first = None if start is None else starting_map(start, *meshes)
         known = None if landmarks is None else landmarks_of(landmarks, *meshes, landmark_tolerance)
     with clock.stage("device"):
         backend = open_backend(chosen.engine)
@@ -79,7 +85,7 @@ def match(
         require_memory(meshes[0].n_vertices, meshes[1].n_vertices, chosen, device)
     with clock.stage("prepare"):
         shapes = prepare_pair(*meshes, chosen, cache)
-    return match_shapes(*shapes, backend, chosen, clock, known)
+    return match_shapes(*shapes, backend, chosen, clock, landmarks=known, start_map=first)
 
 
 def match_shapes(
@@ -88,7 +94,9 @@ def match_shapes(
     backend: Backend,
     options: Options,
     clock: Clock | None = None,
+    *,
     landmarks: Landmarks | None = None,
+    start_map: NDArray[np.int64] | None = None,
 ) -> Correspondence:
     """Match two prepared shapes on an open backend; see `match`.
 
@@ -96,7 +104,7 @@ def match_shapes(
     would take the cores from each other.
     """
     clock = Clock() if clock is None else clock
-    state = MatchState(source, target, options, options.spectrum.xi, landmarks=landmarks)
+    state = MatchState(source, target, options, options.spectrum.xi, start_map=start_map, landmarks=landmarks)
     with single_threaded_blas(), np.errstate(over="ignore", under="ignore"):
         state = run_stages(state, backend, clock)
     try:

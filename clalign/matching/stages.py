@@ -26,6 +26,7 @@ from clalign.geometry.shape import Shape, equally_smoothed
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.point_maps import PointMaps
 from clalign.matching.metric import choose_metric
+from clalign.matching.start import started
 from clalign.matching.state import MatchState, aligned_count, required
 from clalign.options import Options
 from clalign.refinement.landmarks import choose_by_landmarks
@@ -74,6 +75,12 @@ def search(state: MatchState, backend: Backend, report: Report) -> Iterator[Matc
             lambda part: report(part, ""),
         ),
     )
+
+
+def use_start(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Take the map that the user gave instead of a search."""
+    matches = required(state.start_map)
+    yield replace(state, found=started(state.source, state.target, matches, state.options.rules, backend))
 
 
 def use_landmarks(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
@@ -198,6 +205,7 @@ def _points(
 
 STAGES = (
     Stage("metric", lambda state: state.source.smoothing != state.target.smoothing, smooth),
+    Stage("search", lambda state: state.found is None and state.start_map is not None, use_start),
     Stage("search", lambda state: state.found is None and state.options.search.method != "random", search),
     Stage(
         "choice",

@@ -53,6 +53,7 @@ class MatchState:
     xi : exponent of the metric: that of the options, or the one chosen for this pair with the metric "auto".
     metric_chosen : ξ was chosen.
     found : the search's result; None before it, and with the paper's random start.
+    start_map : (n_x,) matches to start from instead of a search, -1 where unknown; or None.
     landmarks : pairs of vertices that a user knows, or None.
     landmarks_used : the chosen map was chosen by them.
     rivals_grown : the chosen map was chosen anew, among candidates that were grown.
@@ -74,6 +75,7 @@ class MatchState:
     xi: float
     metric_chosen: bool = False
     found: SearchResult | None = None
+    start_map: NDArray[np.int64] | None = None
     landmarks: Landmarks | None = None
     landmarks_used: bool = False
     rivals_grown: bool = False
