@@ -30,7 +30,9 @@ if TYPE_CHECKING:
         ResultError,
     )
     from .evaluation.errors import evaluate
+    from .maps.file_maps import VertexStatus
     from .matching.pair import match
+    from .mesh.mesh import load_mesh
     from .options import Options
 
 __version__ = "0.1.0"
@@ -49,8 +51,10 @@ _HOMES = {
     "OptionError": "errors",
     "Options": "options",
     "ResultError": "errors",
+    "VertexStatus": "maps.file_maps",
     "bundled_pair": "data",
     "evaluate": "evaluation.errors",
+    "load_mesh": "mesh.mesh",
     "match": "matching.pair",
     "match_collection": "collection.run",
     "notebook_html": "presentation.notebook",
@@ -70,9 +74,11 @@ __all__ = [
     "OptionError",
     "Options",
     "ResultError",
+    "VertexStatus",
     "__version__",
     "bundled_pair",
     "evaluate",
+    "load_mesh",
     "match",
     "match_collection",
 ]

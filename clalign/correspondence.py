@@ -44,7 +44,7 @@ _SPECTRA = ("source_basis", "target_basis", "source_scale_invariant", "target_sc
 
 @dataclass(frozen=True, eq=False)
 class Alternative(PointMaps):
-    """A map that the search considered and that differs from the chosen one, in file numbering, -1 off the surface.
+    """A map that the search considered and that differs from the chosen one, in file numbering, -1 for no match.
 
     score : product of five unit-free ones, the lower the better; comparable between the maps of one match. They are the
         distortion of distances, the differences of mean curvature, Gaussian curvature and heat kernel signatures, and
@@ -67,8 +67,8 @@ class Correspondence:
     (`Mesh.file_index` and `Mesh.vertex_of_file` translate; both agree where a file is one clean surface).
 
     source, target : the meshes, scaled to unit area.
-    target_of_source : (file_count_x,) int64, the target vertex of every source vertex; -1 off the surface.
-    source_of_target : (file_count_y,) int64, the source vertex of every target vertex; -1 off the surface.
+    target_of_source : (file_count_x,) int64, the target vertex of every source vertex; -1 for one that is left out.
+    source_of_target : (file_count_y,) int64, the source vertex of every target vertex; -1 for one that is left out.
     functional_map : (k_y, k_x) float64, C: coefficients of a function on X to those of its image on Y (Eq. 13).
     rotation : (d, d) float64, R, banded and nearly orthogonal (Eq. 20).
     source_basis, target_basis : LBO eigenfunctions of both meshes.

@@ -18,7 +18,7 @@ _HEAD = """\
 
 Meshes with one defect each, and what the program says of them, word for word. A mesh that is *refused* ends a command
 with that one line and the exit status 2, before anything long is begun; one that is *used* is matched, with the note
-as a warning in the result. "Way out" says what `clalign check MESH --repair OUT` would do. {doc}`troubleshooting`
+as a warning in the result; `--strict` refuses many of these, too. "Way out" says what to do. {doc}`troubleshooting`
 explains the messages. This page is made by `python docs/malformed_page.py`; the tests match every one of these meshes.
 """
 

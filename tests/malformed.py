@@ -16,7 +16,7 @@ import numpy as np
 import shapes
 from numpy.typing import NDArray
 
-REFUSED_STRICTLY = ("no-area-vertex", "non-manifold-edge", "non-manifold-vertex")
+REFUSED_STRICTLY = ("no-faces", "no-area-vertex", "non-manifold-edge", "non-manifold-vertex")
 """Kinds that are read as the surface that was most likely meant, unless asked to read strictly."""
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -216,7 +216,7 @@ def surfaces() -> list[Malformed]:
     unused_nan = (np.concatenate([vertices, [[np.nan] * 3]]), faces)
     cases: list[tuple[str, Arrays, str, bool, tuple[int, ...], bool]] = [
         ("no vertices", (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)), "no-vertices", True, (), False),
-        ("point cloud", (vertices, np.zeros((0, 3), dtype=np.int64)), "no-faces", True, (), False),
+        ("point cloud", (vertices, np.zeros((0, 3), dtype=np.int64)), "no-faces", False, (), True),
         ("index beyond the end", _with_face(5, [0, 1, n]), "index-out-of-range", True, (5,), True),
         ("negative index", _with_face(9, [0, -1, 2]), "index-out-of-range", True, (9,), True),
         ("enormous index", _with_face(9, [0, 2**62, 2]), "index-out-of-range", True, (9,), True),
@@ -227,6 +227,7 @@ def surfaces() -> list[Malformed]:
         ("one triangle", (triangle, np.array([[0, 1, 2]])), "too-few-vertices", True, (), False),
         ("all on a line", (collinear, fan), "no-area", True, (0, 1, 2), False),
         ("all at a point", (np.ones((n, 3)), faces), "no-area", True, (), False),
+        ("vertex far away", _with_vertex(20, [1e20, 0, 0]), "no-area", True, (20,), False),
         ("vertex without area", _collapsed_vertex(), "no-area-vertex", False, (12,), True),
         ("two bodies", _joined((vertices, faces), shifted), "components", True, (), True),
         ("fin", _with_fin(), "non-manifold-edge", False, (len(faces),), True),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
 from clalign.errors import InputError
-from clalign.mesh.topology import edge_table, face_areas, vertex_normals
+from clalign.mesh.topology import edge_table, face_areas, face_normals, vertex_normals
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -25,6 +25,7 @@ SLIVER = 1e-6
 NEEDLE = 1e-4
 """How far from an end of a side the new vertex of a needle lies, in lengths of the side."""
 TURNED = 0.02
+SAMPLED = 10_000
 COARSE = 0.1
 """Share of the vertices of a coarse copy."""
 REFINED = 0.04
@@ -240,6 +241,26 @@ def turned(vertices: Vertices, faces: Faces, rng: np.random.Generator) -> Damage
     return Damaged(vertices, changed, np.arange(len(vertices)))
 
 
+def points(vertices: Vertices, faces: Faces, rng: np.random.Generator) -> Damaged:
+    """Leave the vertices alone."""
+    return Damaged(vertices, np.zeros((0, 3), dtype=np.int64), np.arange(len(vertices)))
+
+
+def sampled(vertices: Vertices, faces: Faces, rng: np.random.Generator) -> Damaged:
+    """Draw points from the surface; each vertex belongs to the nearest of them that faces the same way."""
+    areas = face_areas(vertices, faces)
+    chosen = rng.choice(len(faces), size=SAMPLED, p=areas / areas.sum())
+    root, share = np.sqrt(rng.random(SAMPLED)), rng.random(SAMPLED)
+    weights = np.stack([1 - root, root * (1 - share), root * share], axis=1)
+    drawn = np.einsum("sc,scx->sx", weights, vertices[faces[chosen]])
+    gaps, near = cKDTree(drawn).query(vertices, k=6)
+    normals = face_normals(vertices, faces)[chosen]
+    facing = np.einsum("vkx,vx->vk", normals[near], vertex_normals(vertices, faces)) > 0
+    gaps = np.where(facing | ~facing.any(axis=1, keepdims=True), gaps, np.inf)
+    belongs = near[np.arange(len(vertices)), gaps.argmin(axis=1)]
+    return Damaged(drawn, np.zeros((0, 3), dtype=np.int64), belongs)
+
+
 DAMAGES: dict[str, Callable[[Vertices, Faces, np.random.Generator], Damaged]] = {
     "pinched": pinched,
     "fins": finned,
@@ -252,4 +273,6 @@ DAMAGES: dict[str, Callable[[Vertices, Faces, np.random.Generator], Damaged]] = 
     "uneven": uneven,
     "junctions": junctioned,
     "turned": turned,
+    "points": points,
+    "sampled": sampled,
 }

@@ -48,6 +48,7 @@ def renumber(mesh: Mesh, seed: int = 0) -> Perturbed:
         faces=np.take_along_axis(faces, turns, axis=1).astype(np.int32),
         file_index=new_file_index[order],
         vertex_of_file=vertex_of_file,
+        loose=dataclasses.replace(mesh.loose, file_index=new_of_old[mesh.loose.file_index]),
     )
     return Perturbed(changed, Truth(np.arange(mesh.file_count), new_of_old))
 
@@ -137,4 +138,4 @@ def _nearest_on_the_same_side(
 def same_vertices(mesh: Mesh, vertices: NDArray[np.float64], change: str) -> Perturbed:
     """Return a mesh with its vertices at other places, `vertices` (n, 3), named after the change."""
     changed = mesh_from_arrays(vertices, mesh.faces, f"{mesh.name} ({change})")
-    return Perturbed(changed, Truth(mesh.file_index, changed.file_index))
+    return Perturbed(changed, Truth(mesh.file_index, np.arange(mesh.n_vertices)))

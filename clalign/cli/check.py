@@ -34,6 +34,7 @@ examples:
   clalign check cat0.off cat7.off
   clalign check scan.ply --repair clean.ply
   clalign check cut-at-seams.obj --repair clean.ply --merge
+  clalign check two-people.ply --component 2 --repair second.ply
 
 exit status: 0 every mesh can be used as it is (with --repair: the copy was written), 2 not
 """
@@ -54,7 +55,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--repair", metavar="OUT", type=Path, help="write a cleaned copy of the one MESH")
     parser.add_argument("--merge", action="store_true", help="with --repair: first join vertices at equal positions")
     parser.add_argument("--strict", action="store_true", help="call a mesh unusable that is no surface as it stands")
-    parser.add_argument("--component", metavar="N", type=int, help="the piece to use, numbered from 1 for the largest")
+    parser.add_argument(
+        "--component", metavar="N", type=int, help="the piece to use or to repair, from 1 for the largest"
+    )
     parser.add_argument("--force", action="store_true", help="replace OUT and OUT.index.txt if they exist")
     parser.add_argument("--preset", metavar="NAME", default="default", help="preset that the forecast is for")
     parser.add_argument("--json", action="store_true", help="print the findings as one JSON document")
@@ -71,10 +74,13 @@ def run(args: argparse.Namespace) -> int:
         document["match"] = _forecast([mesh["used"]["vertices"] for mesh in found], options)
     usable = document["usable"]
     if args.repair is not None:
-        document["repaired"] = repair_file(args.meshes[0], args.repair, merge=args.merge, force=args.force)
+        document["repaired"] = repair_file(
+            args.meshes[0], args.repair, merge=args.merge, force=args.force, component=args.component or 1
+        )
         usable = True
     terminal = Terminal(as_json=args.json)
-    if "repaired" in document and document["repaired"]["area_share"] < LITTLE_AREA:
+    # Who asks for one piece does not expect the area of the others.
+    if "repaired" in document and args.component is None and document["repaired"]["area_share"] < LITTLE_AREA:
         terminal.warn(_little_left(document["repaired"]))
     for line in report(document):
         terminal.say(line)
@@ -173,8 +179,8 @@ def _forecast(counts: list[int], options: Options) -> dict[str, Any]:
     return {"seconds": predicted.seconds, "memory": predicted.memory, "available": available_memory()}
 
 
-def repair_file(path: Path, out: Path, *, merge: bool, force: bool) -> dict[str, Any]:
-    """Write a repaired copy of a mesh file with the index map beside it, both or neither.
+def repair_file(path: Path, out: Path, *, merge: bool, force: bool, component: int = 1) -> dict[str, Any]:
+    """Write a repaired copy of one piece of a mesh file with the index map beside it, both or neither.
 
     Raises
     ------
@@ -190,7 +196,7 @@ def repair_file(path: Path, out: Path, *, merge: bool, force: bool) -> dict[str,
 
     raw = read_mesh_file(path)
     try:
-        repaired = repair(raw.vertices, raw.faces, merge=merge)
+        repaired = repair(raw.vertices, raw.faces, merge=merge, component=component)
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from error
     paths = repaired_paths(out)

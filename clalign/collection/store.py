@@ -128,7 +128,7 @@ class PairMaps:
 
     Attributes
     ----------
-    target_of_source, source_of_target : (file vertices,) int32 in the numbering of the files, -1 off the surface.
+    target_of_source, source_of_target : (file vertices,) int32 in the numbering of the files, -1 for no match.
     functional_map : (L, L) float64, least-squares functional map of both maps in the first L LBO functions.
     """
 

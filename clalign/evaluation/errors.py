@@ -64,7 +64,7 @@ class Evaluation:
     exact : share of the measured points matched to the very vertex of the truth.
     diameter : of the target, in sqrt(area): the largest distance seen from farthest points.
     unmatched : measured points that the map leaves without a match; they are in no error.
-    skipped : lines of the truth at vertices that are on no face, which no map can match.
+    skipped : lines of the truth at vertices that are not on the surface, between which there are no distances.
     quality : coverage and smoothness of the whole map.
     method : how distances were measured.
     """
@@ -310,7 +310,9 @@ def _measured_points(
     target_of_source = source.map_from_file(target, index)
     off = np.flatnonzero((source.from_file(index) >= 0) & (target_of_source < 0))
     if off.size:
-        raise ResultError(f"source vertex {source.file_index[off[0]]} is matched to a target vertex that is on no face")
+        raise ResultError(
+            f"source vertex {source.file_index[off[0]]} is matched to a target vertex that is not on the surface"
+        )
     ends = [source.vertex_of_file[truth.source_points[lines]]]
     ends += [target.vertex_of_file[side.target_points[lines]] for side in (truth, mirrored) if side is not None]
     on_surface = np.logical_and.reduce([end >= 0 for end in ends])

@@ -8,15 +8,20 @@ passed.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from clalign.errors import MeshError
 from clalign.mesh import topology
+from clalign.mesh.cloud import surface_of_points
 from clalign.mesh.components import check_components
-from clalign.mesh.defects import Diagnosis, Surface
+from clalign.mesh.defects import SHOWN, Defect, Diagnosis, LoosePieces, Severity, Surface
 from clalign.mesh.examination import Examination, plural
 from clalign.mesh.surface_checks import (
+    MIN_VERTICES,
     check_boundary,
     check_manifold,
     check_orientation,
@@ -29,17 +34,30 @@ from clalign.mesh.welding import joined, neighbours_of_bare
 MAX_COORDINATE = 1e150
 """Squares of larger coordinates overflow float64, and squares of the inverse underflow."""
 _ROUNDS = 3
+BESIDE = 5.0
+"""Points of a cloud farther from its surface than so many mean edges are left out."""
 NO_AREA = 1e-12
 """A face below this part of its squared longest side, or a vertex below this part of the mean, has no area."""
+HARDLY_ANY_AREA = 1e-7
+"""Below this part of the squared longest sides the area of all faces together is lost in rounding."""
+FAR_AWAY = 1e-6
+"""A few vertices are far away if half of all lie this near each other, as a part of the farthest distance."""
 
 
 def diagnose(
-    vertices: ArrayLike, faces: ArrayLike, name: str = "mesh", *, strict: bool = False, component: int | None = None
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    name: str = "mesh",
+    *,
+    strict: bool = False,
+    component: int | None = None,
+    normals: NDArray[np.float64] | None = None,
 ) -> Diagnosis:
-    """Check a mesh, vertices (n, 3) and faces (m, 3) from 0, and read it as a surface.
+    """Check a mesh, vertices (n, 3) and faces (m, 3) from 0, and read it as a surface; without faces as a cloud.
 
     strict : refuse what is no surface as it stands; otherwise it is put right as it was most likely meant.
     component : number of the piece to keep, from 1 for the largest; None for the largest if it stands out.
+    normals : (n, 3) of a cloud, which say where the front of an open sheet is; None if they are not known.
 
     Raises
     ------
@@ -47,7 +65,7 @@ def diagnose(
         The arrays do not have the shape of a triangle mesh; the message calls it `name`.
     """
     surface = Surface.whole(*mesh_arrays(vertices, faces, name))
-    return examined(Examination(surface, strict=strict, component=component))
+    return examined(Examination(surface, strict=strict, component=component, normals=normals))
 
 
 def examined(exam: Examination) -> Diagnosis:
@@ -87,6 +105,7 @@ def _put_right(exam: Examination) -> None:
             return
     for check in _LAST_CHECKS:
         check(exam)
+    _attach_points(exam)
 
 
 def mesh_arrays(
@@ -124,6 +143,44 @@ def _check_empty(exam: Examination) -> None:
     elif not len(exam.surface.faces):
         problem = f"the mesh has {count} vertices but no faces"
         exam.add("no-faces", 1, problem, advice="a point cloud must be triangulated first")
+
+
+def _check_cloud(exam: Examination) -> None:
+    """Lay a surface through points without faces."""
+    surface = exam.surface
+    sound = np.flatnonzero((np.abs(surface.vertices) <= MAX_COORDINATE).all(axis=1))
+    if exam.strict or len(surface.faces) or len(sound) < MIN_VERTICES:
+        return
+    normals = None if exam.normals is None else exam.normals[sound]
+    faces = sound[surface_of_points(surface.vertices[sound], normals)]
+    if len(faces):
+        problem = f"the {len(surface.vertices):,} points have no faces"
+        exam.add("no-faces", 1, problem, action=f"a surface of {len(faces):,} triangles was laid through them")
+        exam.surface = replace(surface, faces=faces, face_index=np.arange(len(faces)))
+        exam.cloud = exam.surface
+        # The triangles are turned one way; where they close to one side they touch and are no surface.
+        exam.cut_open = True
+
+
+def _attach_points(exam: Examination) -> None:
+    """Give points of a cloud that are on no face, but near the surface, the match of the nearest one that is."""
+    surface, cloud = exam.surface, exam.cloud
+    if cloud is None:
+        return
+    corners = surface.vertices[surface.faces]
+    edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
+    off = np.flatnonzero((surface.vertex_of_file() < 0) & np.isfinite(cloud.vertices).all(axis=1))
+    distance, nearest = cKDTree(surface.vertices).query(cloud.vertices[off])
+    near = distance <= BESIDE * edge
+    joined_to = surface.joined_to.copy()
+    joined_to[off[near]] = surface.file_index[nearest[near]]
+    exam.surface = replace(surface, joined_to=joined_to)
+    exam.loose = LoosePieces.none()
+    if near.any():
+        problem = f"{int(near.sum()):,} points lie beside that surface"
+        numbers = tuple(off[near][:SHOWN].tolist())
+        action = "each has the match of the nearest point on it"
+        exam.defects.append(Defect("point-beside", Severity.HANDLED, int(near.sum()), problem, numbers, (), action))
 
 
 def _check_range(exam: Examination) -> None:
@@ -202,16 +259,17 @@ def _leave_out(exam: Examination, bad: NDArray[np.bool_], kind: str, one: str, m
 
 def _check_area(exam: Examination) -> None:
     """Tolerate flat faces, but not a vertex without area: it would have no mass."""
+    if _hardly_any_area(exam.surface):
+        _refuse_for_area(exam)
+        return
     bare, flat = bare_vertices(exam.surface)
     alone, bad = np.flatnonzero(bare), np.flatnonzero(flat)
     if not len(bad):
         return
-    if flat.all():
-        problem = "all faces have zero area: the vertices lie on a line or at a point"
-        exam.add("no-area", len(bad), problem, faces=bad, advice="export the mesh again with more digits")
-    elif len(alone):
+    if len(alone):
         problem = f"{len(alone)} {plural(len(alone), 'vertex has', 'vertices have')} only zero-area faces around"
-        action = "" if exam.strict else "joined to their nearest neighbours, whose match they have"
+        one, many = "joined to its nearest neighbour", "joined to their nearest neighbours"
+        action = "" if exam.strict else f"{plural(len(alone), one, many)}, to share one match"
         advice = "{repair}" if exam.strict else ""
         exam.add("no-area-vertex", len(alone), problem, vertices=alone, faces=bad, action=action, advice=advice)
         if not exam.strict:
@@ -220,6 +278,36 @@ def _check_area(exam: Examination) -> None:
         problem = f"{len(bad)} {plural(len(bad), 'face has', 'faces have')} zero area"
         action = "kept, since the surface would have holes without them; cotangents are bounded there"
         exam.add("zero-area-face", len(bad), problem, faces=bad, action=action)
+
+
+def _hardly_any_area(surface: Surface) -> bool:
+    """Whether the faces together are too thin for their length."""
+    area, longest = _measured(surface)
+    return bool(area.sum() <= HARDLY_ANY_AREA * longest.sum())
+
+
+def _measured(surface: Surface) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Area and squared longest side of the faces (m,), in units of the box."""
+    inside, _, _ = topology.boxed(surface.vertices)
+    corners = inside[surface.faces]
+    longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
+    return topology.face_areas(inside, surface.faces), longest
+
+
+def _refuse_for_area(exam: Examination) -> None:
+    """Refuse a surface without area; mostly a few vertices lie so far away that the rest is a point beside them."""
+    inside, _, _ = topology.boxed(exam.surface.vertices)
+    away = np.linalg.norm(inside - np.median(inside, axis=0), axis=1)
+    if np.median(away) < FAR_AWAY * away.max():
+        far = np.flatnonzero(away > np.sqrt(FAR_AWAY) * away.max())
+        count = len(far)
+        lie = plural(count, "vertex lies", "vertices lie")
+        problem = f"{count} {lie} so far away that the rest has no area beside {plural(count, 'it', 'them')}"
+        exam.add("no-area", count, problem, vertices=far, advice="mend their coordinates, or remove their faces")
+        return
+    problem = "all faces have zero area: the vertices lie on a line or at a point"
+    bad = np.arange(len(exam.surface.faces))
+    exam.add("no-area", len(bad), problem, faces=bad, advice="export the mesh again with more digits")
 
 
 def _collapse(exam: Examination, bare: NDArray[np.bool_]) -> None:
@@ -235,15 +323,13 @@ def _collapse(exam: Examination, bare: NDArray[np.bool_]) -> None:
 
 def bare_vertices(surface: Surface) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Vertices (n) without area around them, and faces (m) without area."""
-    inside, _, _ = topology.boxed(surface.vertices)
-    corners = inside[surface.faces]
-    longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
-    flat = topology.face_areas(inside, surface.faces) <= NO_AREA * longest
-    around = topology.vertex_areas(inside, surface.faces)
-    return around <= NO_AREA * around.mean(), flat
+    area, longest = _measured(surface)
+    around = np.bincount(surface.faces.ravel(), weights=np.repeat(area / 3.0, 3), minlength=len(surface.vertices))
+    return around <= NO_AREA * around.mean(), area <= NO_AREA * longest
 
 
 _VALUE_CHECKS = (
+    _check_cloud,
     _check_empty,
     _check_range,
     _check_unreferenced,

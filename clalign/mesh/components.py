@@ -52,7 +52,7 @@ def check_components(exam: Examination) -> None:
             f"the mesh has {count} separate pieces, {similar} of them of similar size: "
             f"{_described(exam.surface, rank_of_face, areas[ranked], 1 + int(np.flatnonzero(rivals).max()))}"
         )
-        advice = "say which is meant with `--component 1`, 2, … (in Python: `load_mesh(path, component=1)`)"
+        advice = "say which is meant with `--component 1`, 2, … (in Python: `clalign.load_mesh(path, component=1)`)"
         samples = np.unique(_rank_of_vertex(exam.surface, rank_of_face), return_index=True)[1]
         exam.add("components", count, problem, vertices=samples, advice=advice)
         return
@@ -109,11 +109,16 @@ def _keep(
     exam.loose = exam.loose.with_more(loose, surface.vertices[places], numbers.astype(np.int64))
     samples = np.unique(rank, return_index=True)[1][1:]
     problem = f"the mesh has {len(areas)} separate pieces: {_described(surface, rank_of_face, areas, NAMED)}"
-    which = "the largest is matched" if exam.component is None else f"piece {exam.component} is matched"
+    which = f"piece {chosen + 1} is matched, as asked for" if chosen else "the largest is matched"
     left = len(off) - len(loose)
     parts = [which]
+    if exam.alone:
+        parts = [f"piece {chosen + 1} alone is kept"]
+    if exam.alone or exam.cloud is not None:
+        # Points of a cloud get their matches later, from the surface near them.
+        loose, left = loose[:0], 0
     if len(loose):
-        parts.append(f"{len(loose)} vertices of others are carried along with it")
+        parts.append(f"{len(loose)} vertices of other pieces are carried along with it")
     if left:
         parts.append(f"{left} {plural(left, 'vertex is', 'vertices are')} left out, without a match (-1 in the maps)")
     exam.add("small-components", len(areas), problem, vertices=samples, action="; ".join(parts))
@@ -131,9 +136,12 @@ def _described(surface: Surface, rank_of_face: IntArray, areas: NDArray[np.float
     """Number, size and place of the largest pieces, by area."""
     rank = _rank_of_vertex(surface, rank_of_face)
     words = []
+    # Places are told to a thousandth of the box.
+    step = 10.0 ** (np.floor(np.log10(max(float(np.ptp(surface.vertices, axis=0).max()), 1e-300))) - 3)
     for number in range(min(most, NAMED, len(areas))):
         mine = surface.vertices[rank == number]
-        middle = ", ".join(f"{value:.3g}" for value in 0.5 * (mine.min(axis=0) + mine.max(axis=0)))
+        middle = 0.5 * mine.min(axis=0) + 0.5 * mine.max(axis=0)
+        place = ", ".join(f"{value:.4g}" for value in np.round(middle / step) * step + 0.0)
         share = f"{100 * areas[number] / areas.sum():.3g} % of the area"
-        words.append(f"piece {number + 1} with {len(mine):,} vertices and {share} around ({middle})")
+        words.append(f"piece {number + 1} with {len(mine):,} vertices and {share} around ({place})")
     return "; ".join(words) + ("; …" if len(areas) > len(words) else "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clalign.mesh.defects import SHOWN, Defect, LoosePieces, Severity, Surface
 from clalign.mesh.topology import IntArray
@@ -16,15 +17,27 @@ class Examination:
     strict : refuse what cannot be read as it stands, instead of reading it as the surface that was most likely meant.
     component : number of the piece to keep, from 1 for the largest; None for the largest if it stands out.
     cut_open : cut a one-sided surface open instead of refusing it.
+    alone : keep one piece for a copy of the mesh: nothing is carried along with it.
+    normals : (n, 3) at points without faces.
     """
 
     def __init__(
-        self, surface: Surface, *, strict: bool = False, component: int | None = None, cut_open: bool = False
+        self,
+        surface: Surface,
+        *,
+        strict: bool = False,
+        component: int | None = None,
+        cut_open: bool = False,
+        alone: bool = False,
+        normals: NDArray[np.float64] | None = None,
     ) -> None:
         self.surface = surface
         self.strict = strict
         self.component = component
         self.cut_open = cut_open
+        self.alone = alone
+        self.normals = normals
+        self.cloud: Surface | None = None
         self.loose = LoosePieces.none()
         self.defects: list[Defect] = []
 

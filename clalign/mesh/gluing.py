@@ -20,6 +20,8 @@ from clalign.mesh.defects import Surface
 from clalign.mesh.topology import BoolArray, IntArray
 
 _PASSES = 10
+FEW_CROSSED = 0.05
+"""Share of sides in a one-sided patch, in faces, up to which those that run against each other are where it is cut."""
 _MOST_AROUND = 16
 """Edges with more faces than this are cut without looking for the faces that continue each other."""
 
@@ -131,8 +133,14 @@ def _orientable(
     flip, twisted = topology.coherent_orientation(surface.faces, table, one, other)
     if not twisted.any():
         return np.ones(len(one), dtype=bool), flip
-    # A spanning tree of the faces can always be oriented; the pairs that then disagree are the seam to cut.
     a, b = one % n_faces, other % n_faces
+    conflict = table.forward[one] == table.forward[other]
+    crossed = conflict & twisted[a]
+    if crossed.sum() <= FEW_CROSSED * twisted.sum():
+        # As good as all faces are turned one way already: the few sides at which they are not are the seam.
+        flip, _ = topology.coherent_orientation(surface.faces, table, one[~crossed], other[~crossed])
+        return ~crossed, flip
+    # A spanning tree of the faces can always be oriented; the pairs that then disagree are the seam to cut.
     tree = _spanning_pairs(n_faces, a, b)
     flip, _ = topology.coherent_orientation(surface.faces, table, one[tree], other[tree])
     conflict = (table.forward[one] ^ flip[a]) == (table.forward[other] ^ flip[b])

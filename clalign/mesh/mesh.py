@@ -117,27 +117,29 @@ def load_mesh(path: str | os.PathLike[str], *, strict: bool = False, component: 
         if the file cannot be read, or has a defect that the method cannot work with.
     """
     raw, path = read_mesh_file(path), expanded(path)
-    found = diagnose(raw.vertices, raw.faces, str(path), strict=strict, component=component)
+    found = diagnose(raw.vertices, raw.faces, str(path), strict=strict, component=component, normals=raw.normals)
     return _mesh_from_diagnosis(found, mesh_stem(path.name), str(path), raw.notes)
 
 
 def mesh_from_arrays(
     vertices: ArrayLike,
-    faces: ArrayLike,
+    faces: ArrayLike = (),
     name: str = "mesh",
     path: str | os.PathLike[str] | None = None,
     *,
     strict: bool = False,
     component: int | None = None,
+    normals: ArrayLike | None = None,
 ) -> Mesh:
-    """Read two arrays as a surface and scale it to unit area.
+    """Read two arrays as a surface and scale it to unit area; without faces, lay a surface through the points.
 
     Parameters
     ----------
     vertices : (n, 3) float, positions in any unit.
-    faces : (m, 3) int, vertex numbers counted from 0.
+    faces : (m, 3) int, vertex numbers counted from 0; empty for a cloud of points.
     name, path : what the mesh is called, and where the arrays came from, in messages.
     strict, component : see `load_mesh`.
+    normals : (n, 3) of a cloud, which say where the front of an open sheet is.
 
     Raises
     ------
@@ -145,7 +147,8 @@ def mesh_from_arrays(
         if there is a defect that the method cannot work with.
     """
     file = None if path is None else os.fspath(path)
-    found = diagnose(vertices, faces, file or name, strict=strict, component=component)
+    known = None if normals is None else np.asarray(normals, dtype=np.float64)
+    found = diagnose(vertices, faces, file or name, strict=strict, component=component, normals=known)
     return _mesh_from_diagnosis(found, name, file, ())
 
 
@@ -154,7 +157,8 @@ def as_mesh(thing: Any, name: str = "mesh", *, strict: bool = False) -> Mesh:
 
     Parameters
     ----------
-    thing : Mesh, str, path-like, object with `vertices` and `faces` (such as trimesh.Trimesh), or (vertices, faces)
+    thing : Mesh, str, path-like, object with `vertices` and perhaps `faces` (such as trimesh.Trimesh), pair (vertices,
+        faces), or an array of points (n, 3)
     name : str
         name for a mesh that does not come from a file.
     strict : bool
@@ -169,13 +173,15 @@ def as_mesh(thing: Any, name: str = "mesh", *, strict: bool = False) -> Mesh:
         return thing
     if isinstance(thing, (str, os.PathLike)):
         return load_mesh(thing, strict=strict)
-    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
-        return mesh_from_arrays(thing.vertices, thing.faces, name, strict=strict)
+    if hasattr(thing, "vertices"):
+        return mesh_from_arrays(thing.vertices, getattr(thing, "faces", ()), name, strict=strict)
     if isinstance(thing, (tuple, list)) and len(thing) == 2:
         return mesh_from_arrays(thing[0], thing[1], name, strict=strict)
+    if isinstance(thing, np.ndarray):
+        return mesh_from_arrays(thing, (), name, strict=strict)
     raise MeshError(
-        f"{name}: expected a path, a trimesh object or a pair (vertices, faces), not {type(thing).__name__}. "
-        "Load a scene's or point cloud's triangle mesh first."
+        f"{name}: expected a path, a trimesh object, a pair (vertices, faces) or an array of points (n, 3), not "
+        f"{type(thing).__name__}. Of a scene, load the mesh first."
     )
 
 
@@ -211,7 +217,8 @@ def unit_area(
     """
     inside, middle, extent = boxed(vertices)
     areas = face_areas(inside, faces)
-    area = float(areas.sum())
-    centroid = (areas[:, None] * inside[faces].mean(axis=1)).sum(axis=0) / area
-    side = float(np.sqrt(area))
-    return (inside - centroid) / side, extent * side, middle + extent * centroid
+    centroid = (areas[:, None] * inside[faces].mean(axis=1)).sum(axis=0) / float(areas.sum())
+    # Moving rounds the places, and thin faces change their area with them; what counts is that of the moved ones.
+    centred = inside - centroid
+    side = float(np.sqrt(face_areas(centred, faces).sum()))
+    return centred / side, extent * side, middle + extent * centroid

@@ -1,8 +1,7 @@
 """Make a usable surface out of a defective mesh, with the way back to its file's vertex numbers.
 
 Loading reads most meshes as the surface that was meant (`clalign.mesh.checks`). A repaired copy goes further: faces
-that name no vertex or lie at no place are dropped, one-sided surfaces are cut open, and the largest piece alone is
-kept.
+that name no vertex or lie at no place are dropped, one-sided surfaces are cut open, and one piece alone is kept.
 """
 
 from __future__ import annotations
@@ -40,10 +39,11 @@ class Repaired:
     """What joining vertices at equal positions may mend, where that was not done and would join any; else empty."""
 
 
-def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False) -> Repaired:
+def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False, component: int = 1) -> Repaired:
     """Drop, cut and flip whatever keeps a mesh, (n, 3) and (m, 3), from being one oriented surface.
 
     merge : first join vertices at exactly equal positions.
+    component : number of the piece to keep, from 1 for the largest.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False) -> Rep
     surface = _readable(Surface.whole(points, triangles), notes)
     if merge:
         surface = _merged(surface, notes)
-    diagnosis = examined(Examination(surface, component=1, cut_open=True))
+    diagnosis = examined(Examination(surface, component=component, cut_open=True, alone=True))
     left = surface if diagnosis.surface is None else diagnosis.surface
     advice = "" if merge or not duplicate_places(left.vertices) else "add --merge to join vertices at equal positions"
     if diagnosis.refused or diagnosis.surface is None:
@@ -73,7 +73,9 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False) -> Rep
 
 
 def _area_share(surface: Surface, kept: IntArray) -> float:
-    """Area of the faces with the given numbers `kept`, as a part of all."""
+    """Area of the faces with the given numbers `kept`, as a part of all; 1 if a surface was laid through points."""
+    if not len(surface.faces):
+        return 1.0
     areas = topology.face_areas(topology.boxed(surface.vertices)[0], surface.faces)
     return float(areas[np.isin(surface.face_index, kept)].sum() / areas.sum())
 
@@ -88,7 +90,7 @@ def _readable(surface: Surface, notes: list[str]) -> Surface:
     placed: BoolArray = known.copy()
     placed[known] = np.all(sound[surface.faces[known]], axis=1)
     _note(notes, known & ~placed, "faces at NaN, infinite or giant coordinates dropped")
-    return surface.keep(placed)
+    return surface.keep(placed) if len(surface.faces) else surface
 
 
 def _merged(surface: Surface, notes: list[str]) -> Surface:

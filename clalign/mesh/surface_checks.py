@@ -34,14 +34,15 @@ def close_seams(exam: Examination) -> None:
     closed = joined(surface, partner)
     # A strip that is closed to a Möbius strip would lose its sides.
     if len(moved) and not _twisted(closed).any():
-        problem = f"{len(moved)} vertices of open edges lie on another one (within {distance:.2g})"
-        exam.add("open-seam", len(moved), problem, vertices=moved, action="joined to it; each has the match of both")
+        lie = plural(len(moved), "vertex lies", "vertices lie")
+        problem = f"{len(moved)} {lie} on open edges at the place of another one (within {distance:.2g})"
+        exam.add("open-seam", len(moved), problem, vertices=moved, action="joined to it, to share one match")
         exam.surface = closed
     exam.surface, cut = cut_at_junctions(exam.surface, distance)
     if len(cut):
         lie = plural(len(cut), "vertex lies", "vertices lie")
-        problem = f"{len(cut)} {lie} within an open edge of a neighbouring face"
-        exam.add("t-junction", len(cut), problem, vertices=cut, action="the faces there are cut in two")
+        problem = f"{len(cut)} {lie} in the middle of an open edge of another face"
+        exam.add("t-junction", len(cut), problem, vertices=cut, action="those faces are cut in two there")
 
 
 def check_size(exam: Examination) -> None:
@@ -105,8 +106,9 @@ def check_orientation(exam: Examination) -> None:
     table = topology.edge_table(faces, len(exam.surface.vertices))
     flip, twisted = topology.coherent_orientation(faces, table, *topology.paired_half_edges(table))
     if twisted.any() and not _one_sided(exam):
-        problem = f"{int(twisted.sum())} faces have only one side, like a Möbius strip"
-        exam.add("non-orientable", int(twisted.sum()), problem, faces=np.flatnonzero(twisted), action="cut open")
+        problem = f"{int(twisted.sum())} faces are in a part with only one side, like a Möbius strip"
+        action = "cut open along a seam"
+        exam.add("non-orientable", int(twisted.sum()), problem, faces=np.flatnonzero(twisted), action=action)
         _part(exam)
         return
     turned = np.flatnonzero(flip)

@@ -1,8 +1,9 @@
 """Writes a match for other programs.
 
-Text maps, coloured PLY and textured OBJ use the vertex numbers of the mesh files. The eigenfunctions exist only for
-vertices on the surface, so NumPy, MATLAB, pyFM and geomfum exports number vertices as the arrays in the same file do
-(the two numberings agree unless a mesh file has vertices outside its surface).
+Text maps, coloured PLY and textured OBJ use the vertex numbers of the mesh files; the faces of PLY and OBJ are those of
+the surface that was matched. The eigenfunctions exist only for vertices on that surface, so NumPy, MATLAB, pyFM and
+geomfum exports number vertices as the arrays in the same file do (the two numberings agree where a file is one clean
+surface).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
@@ -55,10 +57,26 @@ def export_ply(correspondence: Correspondence, folder: str | Path, *, up: Up | N
     meshes = (correspondence.source, correspondence.target)
     paths = [_ready(folder) / name for name in FILES["ply"]]
     keep_originals(correspondence, paths)
-    colours = pair_colours(correspondence, front_view(correspondence.target.vertices, up))
+    colours = _file_colours(correspondence, up)
     for path, mesh, rows in zip(paths, meshes, colours, strict=True):
-        save_mesh(path, mesh.file_positions(), mesh.file_faces, mesh.to_file(rows, 0.5))
+        save_mesh(path, mesh.file_positions(), mesh.file_faces, rows)
     return paths
+
+
+def _file_colours(correspondence: Correspondence, up: Up | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the colours of the vertices of both files, (file_count, 3); grey where there is no match.
+
+    Loose vertices of the target are coloured like the surface near them, those of the source like their matches.
+    """
+    source, target = correspondence.source, correspondence.target
+    on_source, on_target = pair_colours(correspondence, front_view(target.vertices, up))
+    target_rows, source_rows = target.to_file(on_target, 0.5), source.to_file(on_source, 0.5)
+    if len(target.loose.vertices):
+        target_rows[target.loose.file_index] = on_target[cKDTree(target.vertices).query(target.loose.vertices)[1]]
+    loose = source.loose.file_index
+    match = correspondence.target_of_source[loose]
+    source_rows[loose[match >= 0]] = target_rows[match[match >= 0]]
+    return source_rows, target_rows
 
 
 def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | None = None) -> list[Path]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
+from clalign.mesh.mesh import Mesh
 from clalign.transfer.transfer import Side, map_from, sides
 
 _MOST_CHOICES = 4
@@ -103,7 +104,7 @@ def carry_texture(correspondence: Correspondence, texture: Texture, *, origin: S
     here, there = sides(correspondence, origin)
     if texture.faces.max() >= here.file_count:
         raise InputError(f"the texture names vertex {texture.faces.max()}, {here.name} has {here.file_count} vertices")
-    choices = _choices(texture, here.file_count)
+    choices = _choices(_as_read(texture, here), here.file_count)
     vertex = map_from(correspondence, origin).vertex
     matched = np.where(vertex >= 0, here.file_index[np.maximum(vertex, 0)], -1)
     bare = np.flatnonzero((matched >= 0) & (choices[matched, 0] < 0))
@@ -120,6 +121,14 @@ def carry_texture(correspondence: Correspondence, texture: Texture, *, origin: S
         better = around < shortest
         best[better], shortest[better] = chosen[better], around[better]
     return Texture(texture.coordinates, best, there.file_faces, texture.materials)
+
+
+def _as_read(texture: Texture, mesh: Mesh) -> Texture:
+    """Return the texture on the vertices that the file's were joined to; files often cut surfaces along its seams."""
+    known = mesh.vertex_of_file >= 0
+    kept = np.where(known, mesh.file_index[mesh.vertex_of_file], np.arange(mesh.file_count))
+    _, first, same = np.unique(texture.coordinates, axis=0, return_index=True, return_inverse=True)
+    return replace(texture, corners=first[same.reshape(-1)][texture.corners], faces=kept[texture.faces])
 
 
 def _choices(texture: Texture, vertices: int) -> NDArray[np.int64]:

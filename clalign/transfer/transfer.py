@@ -1,11 +1,12 @@
 """Carries things through a match: functions, labels, landmarks, texture coordinates and deformations.
 
-Everything is in the numbering of the mesh files: row i belongs to vertex i of the file, and rows of vertices that are
-not on the surface, or have no match, say so (NaN, or -1 for whole numbers).
+Everything is in the numbering of the mesh files: row i belongs to vertex i of the file, and rows of vertices that have
+no match say so (NaN, or -1 for whole numbers). Vertices of loose pieces take what their own match has.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
 from clalign.geometry.operators import lumped_mass, stiffness
+from clalign.maps.file_maps import carried as moved_along
 from clalign.mesh.mesh import Mesh
 from clalign.transfer.surface_map import SurfaceMap, surface_map
 
@@ -66,7 +68,8 @@ def carry_values(
         Wrong number of rows, or the functional route from the target (C leads from the source to the target).
     """
     here, there = sides(correspondence, origin)
-    rows = _rows(values, here, np.float64)
+    given = _rows(values, here, np.float64)
+    rows = here.from_file(given)
     if route == "functional":
         if origin != "source":
             raise InputError("C leads from the source to the target; carry from the source, or use route 'points'")
@@ -74,11 +77,11 @@ def carry_values(
         carried = _through_functional_map(correspondence, _filled_in(here, rows, known))
         # One value that is missing would else be missing in every coefficient, and so everywhere.
         carried[map_from(correspondence, origin).pull((~known).astype(np.float64)) > 0] = np.nan
-        return there.to_file(carried, np.nan)
-    pull = map_from(correspondence, origin)
-    carried = pull.pull(rows)
-    carried[~pull.matched] = np.nan
-    return there.to_file(carried, np.nan)
+    else:
+        pull = map_from(correspondence, origin)
+        carried = pull.pull(rows)
+        carried[~pull.matched] = np.nan
+    return _with_loose(correspondence, origin, there.to_file(carried, np.nan), given)
 
 
 def carry_labels(correspondence: Correspondence, labels: ArrayLike, *, origin: Side = "source") -> NDArray[np.int64]:
@@ -97,9 +100,10 @@ def carry_labels(correspondence: Correspondence, labels: ArrayLike, *, origin: S
         if not np.array_equal(numbers, np.rint(numbers)):
             raise InputError("labels must be whole numbers; carry them as scalars otherwise")
         numbers = np.rint(numbers)
-    rows = _rows(numbers, here, np.int64)
-    vertex = map_from(correspondence, origin).vertex
-    return there.to_file(np.where(vertex >= 0, rows[np.maximum(vertex, 0)], -1), -1)
+    given = _rows(numbers, here, np.int64)
+    rows, vertex = here.from_file(given), map_from(correspondence, origin).vertex
+    carried = there.to_file(np.where(vertex >= 0, rows[np.maximum(vertex, 0)], -1), -1)
+    return _with_loose(correspondence, origin, carried, given)
 
 
 def carry_landmarks(
@@ -122,8 +126,8 @@ def carry_landmarks(
             f"landmark {outside[0]} is vertex {chosen[outside[0]]}, but {here.name} has vertices 0 to "
             f"{here.file_count - 1}; vertices are numbered from 0"
         )
-    file_map = correspondence.target_of_source if origin == "source" else correspondence.source_of_target
-    return np.asarray(file_map[chosen], dtype=np.int64)
+    forward = origin == "source"
+    return (correspondence.target_of_source if forward else correspondence.source_of_target)[chosen].astype(np.int64)
 
 
 def carry_deformation(
@@ -133,7 +137,8 @@ def carry_deformation(
 
     How the origin stretches and turns around every vertex is carried through the map, and the other shape is the
     least-squares (Poisson) fit to that, as in deformation transfer (Sumner and Popović 2004). Turns are taken in space,
-    so both shapes should be in like poses and face the same way before the deformation.
+    so both shapes should be in like poses and face the same way before the deformation. Loose pieces of the other shape
+    move with its surface.
 
     Parameters
     ----------
@@ -141,7 +146,7 @@ def carry_deformation(
 
     Returns
     -------
-    (vertices in the other file, 3) float64, positions in the other file's unit; NaN off the surface.
+    (vertices in the other file, 3) float64, positions in the other file's unit; NaN for vertices that are left out.
 
     Raises
     ------
@@ -149,7 +154,7 @@ def carry_deformation(
         Wrong shape, or positions that are not finite.
     """
     here, there = sides(correspondence, origin)
-    positions = _rows(deformed, here, np.float64)
+    positions = here.from_file(_rows(deformed, here, np.float64))
     if positions.shape != here.vertices.shape or not np.isfinite(positions).all():
         raise InputError(
             f"a deformation needs three finite coordinates for each of the {here.file_count} vertices of {here.name}"
@@ -163,7 +168,13 @@ def carry_deformation(
     fitted = _fit_gradients(there, gradients)
     their_mass = lumped_mass(there.vertices, there.faces)
     fitted += their_mass @ (there.vertices - fitted) / their_mass.sum() + moved
-    return there.to_file(fitted * there.scale + there.offset, np.nan)
+    found = there.to_file(fitted, np.nan)
+    if len(there.loose.file_index):
+        itself = np.arange(there.n_vertices)
+        found[there.loose.file_index] = moved_along(
+            there, replace(there, vertices=fitted), itself, there.loose.vertices
+        )
+    return found * there.scale + there.offset
 
 
 def _through_functional_map(correspondence: Correspondence, rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -235,10 +246,20 @@ def _fit_gradients(mesh: Mesh, gradients: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def _rows(values: ArrayLike, mesh: Mesh, dtype: type) -> NDArray:
+    """Return a copy of the values, (file_count, …), of a mesh."""
     array = np.asarray(values)
     if array.ndim not in (1, 2) or len(array) != mesh.file_count:
         raise InputError(
             f"there are {array.shape[0] if array.ndim else 0} rows, but {mesh.name} has {mesh.file_count} vertices in "
             "its file; one row a vertex is needed"
         )
-    return mesh.from_file(array.astype(dtype))
+    return array.astype(dtype)
+
+
+def _with_loose(correspondence: Correspondence, origin: Side, carried: NDArray, given: NDArray) -> NDArray:
+    """Return values of one file, those of its loose pieces set to the given ones of the other file at their matches."""
+    _, there = sides(correspondence, origin)
+    loose = there.loose.file_index
+    match = (correspondence.source_of_target if origin == "source" else correspondence.target_of_source)[loose]
+    carried[loose[match >= 0]] = given[match[match >= 0]]
+    return carried

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import sys
 
+import assembled
+import malformed
 import numpy as np
 import pytest
 import shapes
@@ -109,3 +111,28 @@ def test_decimation_names_what_is_missing(mesh: Mesh, monkeypatch: pytest.Monkey
         perturb.decimate(mesh)
     with pytest.raises(InputError, match="share"):
         perturb.decimate(mesh, 1.5)
+
+
+def test_changes_of_a_file_with_seams_and_loose_pieces_know_where_each_vertex_went() -> None:
+    file = assembled.assembled()
+    whole = mesh_from_arrays(file.vertices, file.faces)
+    moved = perturb.renumber(whole, seed=3)
+    new = moved.truth.target_points
+    np.testing.assert_allclose(moved.mesh.file_positions()[new], whole.file_positions(), atol=1e-12)
+    np.testing.assert_array_equal(np.sort(moved.mesh.loose.file_index), np.sort(new[file.carried]))
+    np.testing.assert_array_equal(*moved.mesh.vertex_of_file[new[file.seam]].T)
+    assert (moved.mesh.vertex_of_file[new[file.left_out]] == -1).all()
+
+
+def test_a_pinched_surface_keeps_its_copies_apart_when_it_is_changed() -> None:
+    """The two copies of the vertex that was parted lie at one place; the truth names the same vertex of the file."""
+    case = next(case for case in malformed.surfaces() if case.name == "three sheets")
+    sheets = mesh_from_arrays(case.vertices, case.faces)
+    moved = perturb.rotate(sheets)
+    assert moved.truth.count == sheets.n_vertices
+    np.testing.assert_array_equal(moved.truth.source_points, sheets.file_index)
+    np.testing.assert_allclose(
+        np.linalg.norm(moved.mesh.file_positions()[moved.truth.target_points], axis=1),
+        np.linalg.norm(sheets.file_vertices(), axis=1),
+        atol=1e-9,
+    )

@@ -78,14 +78,18 @@ def test_no_permission_and_no_regular_file(
     assert (shown.status, "no permission to read it" in shown.err) == (2, True)
 
 
-def test_a_million_duplicated_vertices_are_refused_and_can_be_joined(run: Run, tmp_path: Path) -> None:
+def test_a_million_duplicated_vertices_are_joined_unless_read_strictly(run: Run, tmp_path: Path) -> None:
     """Three corners of its own for every triangle, as careless exporters write them."""
     vertices, faces = shapes.icosphere(7)
     soup = vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)
     assert len(soup[0]) > 980_000
     path = tmp_path / "soup.ply"
     path.write_bytes(malformed.WRITERS["binary ply"](soup))
-    shown = run("check", path, "--repair", tmp_path / "joined.ply", "--merge")
+    shown = run("check", path)
+    assert shown.status == 0
+    assert f"used     {len(vertices):,} vertices, {len(faces):,} triangles" in shown.out
+    assert "819,198 vertices lie on open edges at the place of another one".replace(",", "") in shown.out
+    shown = run("check", path, "--strict", "--repair", tmp_path / "joined.ply", "--merge")
     assert shown.status == 0
     assert shown.out.startswith(f"{path}: not usable\n")
     assert "327680 separate pieces" in shown.out

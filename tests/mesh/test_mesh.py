@@ -107,7 +107,10 @@ def test_as_mesh_takes_every_form() -> None:
         assert (other.name, other.path) == ("given", None)
         np.testing.assert_array_equal(other.vertices, mesh.vertices)
         np.testing.assert_array_equal(other.faces, mesh.faces)
-    for wrong in (None, 3, vertices, (vertices,), trimesh.Scene()):
+    cloud = as_mesh(vertices, "given")
+    np.testing.assert_array_equal(as_mesh(trimesh.PointCloud(vertices)).vertices, cloud.vertices)
+    assert (cloud.n_vertices, cloud.n_faces) == (mesh.n_vertices, mesh.n_faces)
+    for wrong in (None, 3, (vertices,), trimesh.Scene()):
         with pytest.raises(MeshError, match="expected a path"):
             as_mesh(wrong)
 
