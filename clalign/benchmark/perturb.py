@@ -68,18 +68,18 @@ def noise(mesh: Mesh, amount: float = 0.2, seed: int = 0, direction: Literal["no
     else:
         directions = rng.standard_normal((mesh.n_vertices, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return _same_vertices(mesh, vertices + lengths[:, None] * directions, "noise")
+    return same_vertices(mesh, vertices + lengths[:, None] * directions, "noise")
 
 
 def rotate(mesh: Mesh, seed: int = 0) -> Perturbed:
     """Turn the mesh by a random rotation about the origin of its file."""
     rotation = Rotation.from_rotvec(np.random.default_rng(seed).uniform(-2, 2, 3)).as_matrix()
-    return _same_vertices(mesh, mesh.file_vertices() @ rotation.T, "rotated")
+    return same_vertices(mesh, mesh.file_vertices() @ rotation.T, "rotated")
 
 
 def scale(mesh: Mesh, factor: float) -> Perturbed:
     """Multiply all coordinates, as when millimetres are read for metres."""
-    return _same_vertices(mesh, mesh.file_vertices() * factor, f"times {factor:g}")
+    return same_vertices(mesh, mesh.file_vertices() * factor, f"times {factor:g}")
 
 
 def subdivide(mesh: Mesh) -> Perturbed:
@@ -135,6 +135,7 @@ def _nearest_on_the_same_side(
     return candidates[np.arange(len(queries)), gaps.argmin(axis=1)]
 
 
-def _same_vertices(mesh: Mesh, vertices: NDArray[np.float64], change: str) -> Perturbed:
+def same_vertices(mesh: Mesh, vertices: NDArray[np.float64], change: str) -> Perturbed:
+    """Return a mesh with its vertices at other places, `vertices` (n, 3), named after the change."""
     changed = mesh_from_arrays(vertices, mesh.faces, f"{mesh.name} ({change})")
     return Perturbed(changed, Truth(mesh.file_index, np.arange(mesh.n_vertices)))

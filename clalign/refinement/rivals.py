@@ -27,7 +27,7 @@ from clalign.search.score import map_scores
 
 def in_doubt(found: SearchResult, rules: RivalRules) -> bool:
     """Return whether the search has found rivals that it cannot tell from the chosen map."""
-    return bool(found.alternatives) and (found.confidence < rules.doubtful or found.chosen.score < rules.exact)
+    return bool(found.alternatives) and (found.chosen.score < rules.exact or found.confidence < rules.doubtful)
 
 
 def stretch_energy(source: Shape, target: Shape, target_of_source: NDArray[np.int64], rules: RivalRules) -> float:

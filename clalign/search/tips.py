@@ -19,13 +19,17 @@ LEAST_TIPS = 3
 """Distances to fewer points tell hardly any part of a surface from another."""
 
 
-def tips(shape: SampledShape, rules: TipRules) -> NDArray[np.int64]:
+def tips(distances: NDArray[np.float64], weights: NDArray[np.float64], rules: TipRules) -> NDArray[np.int64]:
     """Return the extremities of a shape, farthest out first: at most `rules.most` of its samples.
 
     They are the local maxima of the mean geodesic distance to the surface: ends of limbs, the top of a head.
+
+    Parameters
+    ----------
+    distances, weights : (S, S) between the samples, and (S,) area shares.
     """
-    mean = shape.distances @ shape.weights
-    neighbours = shape.distances < rules.radius
+    mean = distances @ weights
+    neighbours = distances < rules.radius
     largest = np.where(neighbours, mean[None, :], 0.0).max(axis=1)
     maxima = np.flatnonzero(mean >= largest)
     return maxima[np.argsort(-mean[maxima], kind="stable")][: rules.most]
@@ -44,7 +48,7 @@ def assignments(
     -------
     Without rows where a shape has fewer than three tips.
     """
-    own, others = tips(source, rules), tips(target, rules)
+    own, others = (tips(shape.distances, shape.weights, rules) for shape in (source, target))
     count = min(rules.assigned, own.size, others.size)
     if count < LEAST_TIPS:
         return np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1), dtype=np.int64)

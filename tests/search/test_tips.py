@@ -31,6 +31,10 @@ def prepared(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Shape:
     return prepare(mesh_from_arrays(vertices, faces), OPTIONS)
 
 
+def found_tips(shape: Shape, rules: TipRules = RULES.tips) -> NDArray[np.int64]:
+    return tips(shape.geodesics.distances, shape.geodesics.weights, rules)
+
+
 def limbs(places: NDArray[np.float64]) -> list[int]:
     """Return which limb some points lie on; -1 is none. `places` are theirs before any motion."""
     along = shapes.LIMBS / np.linalg.norm(shapes.LIMBS, axis=1, keepdims=True)
@@ -51,9 +55,9 @@ def other() -> tuple[Shape, NDArray[np.int64]]:
 
 
 def test_tips_are_the_ends_of_the_limbs_the_farthest_first(body: Shape) -> None:
-    found = body.geodesics.samples[tips(SampledShape.of(body), TipRules())]
+    found = body.geodesics.samples[found_tips(body)]
     assert limbs(shapes.limbed_sphere(LENGTHS)[0][found]) == list(np.argsort(LENGTHS)[::-1])
-    assert len(tips(SampledShape.of(body), TipRules(most=3))) == 3
+    assert len(found_tips(body, TipRules(most=3))) == 3
 
 
 def test_tips_do_not_depend_on_numbers_place_and_size(body: Shape) -> None:
@@ -62,8 +66,8 @@ def test_tips_do_not_depend_on_numbers_place_and_size(body: Shape) -> None:
     rotation *= np.linalg.det(rotation)
     moved, other_faces, new_of_old = shapes.renumbered(1000.0 * vertices @ rotation.T + 7.0, faces, 4)
     copy = prepared(moved, other_faces)
-    there = tips(SampledShape.of(copy), TipRules())
-    own = tips(SampledShape.of(body), TipRules())
+    there = found_tips(copy)
+    own = found_tips(body)
     np.testing.assert_array_equal(copy.geodesics.samples[there], new_of_old[body.geodesics.samples[own]])
 
 
@@ -105,7 +109,7 @@ def test_limbs_of_other_lengths_are_matched(
     target, new_of_old = other
     pair = SamplePair.of(body, target, kernels)
     places = shapes.limbed_sphere(OTHERS)[0][np.argsort(new_of_old)]
-    ends = body.geodesics.samples[tips(pair.source, RULES.tips)]
+    ends = body.geodesics.samples[found_tips(body)]
 
     def reached(functional: NDArray[np.floating]) -> list[int]:
         return limbs(places[vertex_maps(body, target, functional.astype(float), Reference()).target_of_source[ends]])

@@ -1,4 +1,4 @@
-"""``clalign bench humans|animals|faust|robustness|damaged|study``: errors of maps over all pairs of a data set."""
+"""``clalign bench humans|animals|faust|robustness|damaged|warped|study``: errors of maps over pairs of a data set."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ curve.png. Run the same command again to go on after an interruption; pairs that
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add ``humans``, ``animals``, ``faust``, ``robustness`` and ``damaged``."""
+    """Add ``humans``, ``animals``, ``faust``, ``robustness``, ``damaged`` and ``warped``."""
     humans = _add(subparsers, "humans", "posed humans, or any folder in their layout")
     humans.add_argument("path", metavar="PATH", type=Path, help="folder of meshes, or of such folders")
     humans.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
@@ -59,6 +59,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     damaged.add_argument("path", metavar="PATH", type=Path, help="folder in the layout of the humans")
     damaged.add_argument("--damages", metavar="NAMES", default="", help="comma-separated (default: all, and 'clean')")
     damaged.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
+    warped = _add(subparsers, "warped", "posed humans with other proportions: longer and shorter limbs, a larger trunk")
+    warped.add_argument("path", metavar="PATH", type=Path, help="folder in the layout of the humans")
+    warped.add_argument("--warps", metavar="NAMES", default="waves,limbs,ape,trunk", help="default: %(default)s")
+    warped.add_argument(
+        "--share",
+        metavar="PART",
+        type=float,
+        default=1.0,
+        help="remesh each target, to this part of its faces (default: 1, its own triangles)",
+    )
+    warped.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
 
 
 def _add(
@@ -92,6 +103,7 @@ def run(args: argparse.Namespace) -> int:
     from clalign.benchmark.layouts import animals, faust, humans
     from clalign.benchmark.robustness import robustness
     from clalign.benchmark.runner import Measurement
+    from clalign.benchmark.warped import warped
     from clalign.evaluation.distances import METHODS
 
     layouts = {
@@ -100,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
         "faust": lambda: faust(args.root, args.pairs),
         "robustness": lambda: robustness(args.path, split_list(args.alterations)),
         "damaged": lambda: damaged(args.path, split_list(args.damages) if args.damages else ALL_DAMAGES, args.pairs),
+        "warped": lambda: warped(args.path, split_list(args.warps), args.share, args.pairs),
     }[args.suite]()
     if args.distances not in METHODS:
         raise OptionError(f"--distances must be one of {', '.join(METHODS)}; got {args.distances!r}")
