@@ -75,8 +75,9 @@ def solve(stiffness: sparse.csr_matrix, mass: NDArray[np.float64], count: int, t
     Raises
     ------
     ConvergenceError
-        A residual ‖Wφ − λMφ‖ in the norm of M⁻¹, relative to λ + 4π / ΣM, is above `TOLERANCE`, or the solver itself
-        gave up: a factorisation was singular, or the iteration ended before all pairs had converged.
+        A residual ‖Wφ − λMφ‖ in the norm of M⁻¹, relative to λ + 4π / ΣM, and that in the norm of energy are above
+        `TOLERANCE`, or the solver itself gave up: a factorisation was singular, or the iteration ended before all pairs
+        had converged.
     """
     n = len(mass)
     capped = min(count, max(n // 3, 1))
@@ -93,6 +94,10 @@ def solve(stiffness: sparse.csr_matrix, mass: NDArray[np.float64], count: int, t
         else:
             values, vectors = _block(operator, capped, unit, threads)
     residual = _largest_residual(operator, values, vectors, unit)
+    if not residual <= TOLERANCE:
+        # Vertices of slivers have hardly any mass, and the norm of M⁻¹ sees the rounding errors there a million times.
+        residual = _energy_residual(operator, values, vectors, unit)
+        logger.info("the largest residual of %d eigenpairs is %.1e in the norm of energy", capped, residual)
     if not residual <= TOLERANCE:
         raise ConvergenceError(f"an eigenpair of {capped} has residual {residual:.1e}, above {TOLERANCE:.0e}; {REMEDY}")
     functions = fix_signs(vectors / root[:, None], mass)
@@ -151,3 +156,17 @@ def _largest_residual(operator: Any, values: NDArray[np.float64], vectors: NDArr
     residuals = operator @ vectors
     residuals -= vectors * values
     return float((np.linalg.norm(residuals, axis=0) / (np.abs(values) + unit)).max())
+
+
+def _energy_residual(
+    operator: sparse.csc_matrix, values: NDArray[np.float64], vectors: NDArray[np.float64], unit: float
+) -> float:
+    """Return the largest residual r of A x = λ x in the norm that the energy is dual to, √(rᵀ (A + uI)⁻¹ r / (λ + u)).
+
+    It bounds the error of an eigenfunction in the norm of energy, which is what functions are compared in.
+    """
+    residuals = operator @ vectors
+    residuals -= vectors * values
+    solved = factorise(operator, -unit).solve(residuals)
+    squared = np.einsum("nk,nk->k", residuals, solved) / (np.abs(values) + unit)
+    return float(np.sqrt(np.maximum(squared, 0.0)).max())

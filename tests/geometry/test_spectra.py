@@ -230,3 +230,28 @@ def test_signs_do_not_depend_on_the_solver(rng: np.random.Generator) -> None:
     flipped = spectrum.functions * rng.choice([-1.0, 1.0], 50)
     np.testing.assert_array_equal(spectra.fix_signs(flipped, spectrum.mass), spectrum.functions)
     assert (spectrum.mass @ spectrum.functions**3)[1:].min() > -1e-5
+
+
+def test_rounding_at_vertices_without_mass_is_forgiven_and_wrong_pairs_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error where there is hardly any mass costs hardly any energy; the same error elsewhere does."""
+    surface = analytic.bumpy(2)
+    stiffness, mass = operators.stiffness(*surface), operators.lumped_mass(*surface)
+    mass = mass.copy()
+    mass[7] *= 1e-6
+    found = solve(stiffness, mass, 10)
+    root = np.sqrt(mass)
+    operator = sparse.csc_matrix(sparse.diags_array(1 / root) @ stiffness @ sparse.diags_array(1 / root))
+    unit = spectra.eigenvalue_unit(mass)
+    for vertex, forgiven in ((7, True), (8, False)):
+        vectors = found.functions * root[:, None]
+        vectors[vertex] += 1e-5 * root[vertex]
+        plain = spectra._largest_residual(operator, found.eigenvalues, vectors, unit)
+        energy = spectra._energy_residual(operator, found.eigenvalues, vectors, unit)
+        assert plain > 1e-6
+        assert energy <= plain
+        assert (energy < 1e-3 * plain) == forgiven
+    monkeypatch.setattr(spectra, "_largest_residual", lambda *_: 1e-3)
+    np.testing.assert_array_equal(solve(stiffness, mass, 10).functions, found.functions)
+    monkeypatch.setattr(spectra, "_energy_residual", lambda *_: 1e-3)
+    with pytest.raises(ConvergenceError, match=r"residual 1\.0e-03"):
+        solve(stiffness, mass, 10)
