@@ -92,13 +92,18 @@ def _check_usage(args: argparse.Namespace) -> None:
     """Find every mistake in the arguments before any mesh is read."""
     from clalign.mesh.writing import require_format
 
+    if args.component is not None and args.component < 1:
+        raise OptionError(f"--component {args.component}: pieces are numbered from 1, the largest")
     if args.repair is None:
         if args.merge or args.force:
             raise OptionError("--merge and --force belong to --repair OUT")
         return
     if len(args.meshes) != 1:
         raise OptionError(f"--repair writes one file; give one MESH, not {len(args.meshes)}")
-    if args.repair.absolute() == args.meshes[0].absolute():
+    mesh = args.meshes[0]
+    if args.repair.absolute() == mesh.absolute() or (
+        args.repair.exists() and mesh.exists() and args.repair.samefile(mesh)
+    ):
         raise OptionError(
             f"--repair {args.repair}: is the mesh itself; give another name, the original is worth keeping"
         )
@@ -125,7 +130,9 @@ def examine(path: Path, options: Options, *, strict: bool = False, component: in
 
     try:
         raw = read_mesh_file(path)
-        diagnosis = diagnose(raw.vertices, raw.faces, str(path), strict=strict, component=component)
+        diagnosis = diagnose(
+            raw.vertices, raw.faces, str(path), strict=strict, component=component, normals=raw.normals
+        )
     except MeshError as error:
         return {"path": str(path), "usable": False, "error": str(error).removeprefix(f"{path}: ")}
     found: dict[str, Any] = {
@@ -196,7 +203,7 @@ def repair_file(path: Path, out: Path, *, merge: bool, force: bool, component: i
 
     raw = read_mesh_file(path)
     try:
-        repaired = repair(raw.vertices, raw.faces, merge=merge, component=component)
+        repaired = repair(raw.vertices, raw.faces, merge=merge, component=component, normals=raw.normals)
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from error
     paths = repaired_paths(out)

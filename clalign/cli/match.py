@@ -105,6 +105,8 @@ def run_match(args: argparse.Namespace) -> int:
     def truths(source: Mesh, target: Mesh) -> Truths | None:
         return (read_truth(args.truth, None, source, target), None) if args.truth else None
 
+    if args.landmark_tolerance and not args.landmarks:
+        raise OptionError("--landmark-tolerance belongs to --landmarks FILE")
     components, landmarks = chosen_components(args.component), tuple(args.landmarks)
     meshes = _Files(args.source, args.target, *components, landmarks, args.landmark_tolerance)
     return _run(meshes, args, truths, force=args.force)

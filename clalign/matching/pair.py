@@ -114,5 +114,5 @@ def match_shapes(
         state = state.cut_short()
         with plain_interrupts():
             result = correspondence(state, backend, options, clock.seconds)
-    warn_of_doubts(state, options)
+    warn_of_doubts(state, options, result.landmarks)
     return result

@@ -17,11 +17,12 @@ from clalign.errors import ClalignWarning, ConfidenceWarning
 from clalign.geometry.shape import Shape
 from clalign.maps.file_maps import file_maps
 from clalign.maps.point_maps import PointMaps
-from clalign.matching.state import MatchState, required
+from clalign.matching.state import MatchState, required, wanted_sign
 from clalign.mesh.mesh import Mesh
 from clalign.options import Options, odd_sizes
 from clalign.refinement.landmarks import disagreement, kept_exactly
 from clalign.rules import JudgementRules
+from clalign.search.score import facing
 
 PACKAGE = __name__.partition(".")[0]
 
@@ -143,7 +144,7 @@ def _remarks(state: MatchState, options: Options) -> list[str]:
     remarks, count = [], len(state.alternatives)
     if state.interrupted:
         remarks.append("interrupted: what was left to do was cut short, and the best map so far was kept")
-    elif state.found is not None and count < options.search.alternatives:
+    elif state.found is not None and state.start_map is None and count < options.search.alternatives:
         found = f"only {count} different map{' was' if count == 1 else 's were'}"
         remarks.append(f"{found if count else 'no different map was'} found ({options.search.alternatives} asked for)")
     meshes = state.source.mesh, state.target.mesh
@@ -159,13 +160,13 @@ def _failures(state: MatchState) -> list[str]:
     return [NO_FINITE_VALUE] if required(state.aligned).status == "failed" else []
 
 
-def warn_of_doubts(state: MatchState, options: Options) -> None:
+def warn_of_doubts(state: MatchState, options: Options, landmarks: tuple[dict[str, Any], ...] = ()) -> None:
     """Raise as Python warnings what puts the map itself in doubt.
 
     A low confidence or orientation, a map that was not searched for, an objective without a finite value.
     """
     for texts, category in (
-        (_failures(state), ClalignWarning),
+        ([*_failures(state), *_contradicted(landmarks)], ClalignWarning),
         (_doubts(state, options.rules.judgement), ConfidenceWarning),
     ):
         for text in texts:
@@ -176,7 +177,12 @@ def _doubts(state: MatchState, rules: JudgementRules) -> list[str]:
     if state.found is None:
         return ["no search was made (search.method=random), so the map may be mirrored or wrong"]
     doubts, orientation, confidence = [], state.found.chosen.orientation, state.found.confidence
-    if abs(orientation) < rules.low_orientation:
+    wanted = facing(np.array(orientation), wanted_sign(state))
+    if wanted < -rules.low_orientation:
+        doubts.append(
+            f"orientation {orientation:+.2f}: the map is mirrored; --orientation reversing or any says that it may be"
+        )
+    elif wanted < rules.low_orientation:
         doubts.append(
             f"orientation {orientation:+.2f}: parts of the map are turned inside out; one shape may be a "
             "part of the other, mirrored, or too different; look at the page"

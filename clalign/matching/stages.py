@@ -7,7 +7,6 @@ Every stage yields what it has reached, as often as that is worth keeping: after
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,7 +26,7 @@ from clalign.geometry.spectra import Spectrum
 from clalign.maps.point_maps import PointMaps
 from clalign.matching.metric import choose_metric
 from clalign.matching.start import started
-from clalign.matching.state import MatchState, aligned_count, required
+from clalign.matching.state import MatchState, aligned_count, required, wanted_sign
 from clalign.options import Options
 from clalign.refinement.landmarks import choose_by_landmarks
 from clalign.refinement.patches import patchwise_maps
@@ -90,12 +89,6 @@ def use_landmarks(state: MatchState, backend: Backend, report: Report) -> Iterat
         state.source, state.target, found, required(state.landmarks), wanted_sign(state), options.rules, backend
     )
     yield replace(state, found=chosen, landmarks_used=True)
-
-
-def wanted_sign(state: MatchState) -> float:
-    """Return +1 where the orientation is to be kept, −1 where it is to be reversed; as the search has it with "any"."""
-    sign = {"preserving": 1.0, "reversing": -1.0}
-    return sign.get(state.options.search.orientation, math.copysign(1.0, required(state.found).chosen.orientation))
 
 
 def choose(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:

@@ -61,8 +61,8 @@ def starting_map(start: Any, source: Mesh, target: Mesh) -> NDArray[np.int64]:
     """
     if isinstance(start, str) and start in (AS_THEY_LIE, RIGID):
         found = lying_map(source, target, rigid=start == RIGID)
-    elif isinstance(start, tuple) and len(start) == 3:
-        found = _of_functional_map(*start, source, target)
+    elif isinstance(start, (tuple, list)) and len(start) == 3 and np.ndim(start[0]) == 2:
+        found = _of_functional_map(start[0], start[1], start[2], source, target)
     else:
         found = source.map_from_file(target, _file_map(start, source, target))
     known = int((found >= 0).sum())

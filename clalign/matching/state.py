@@ -120,3 +120,8 @@ class MatchState:
         if self.options.spectrum.metric == "auto":
             changes["spectrum.metric"] = "power"
         return replace(self, options=self.options.replace(changes), interrupted=True)
+
+
+def wanted_sign(state: MatchState) -> float:
+    """Return +1 where the orientation is to be kept, −1 where it is to be reversed, 0 where it is free."""
+    return {"preserving": 1.0, "reversing": -1.0, "any": 0.0}[state.options.search.orientation]

@@ -65,6 +65,8 @@ def diagnose(
         The arrays do not have the shape of a triangle mesh; the message calls it `name`.
     """
     surface = Surface.whole(*mesh_arrays(vertices, faces, name))
+    if normals is not None and np.shape(normals) != surface.vertices.shape:
+        raise MeshError(f"{name}: normals have shape {np.shape(normals)}; expected {surface.vertices.shape}")
     return examined(Examination(surface, strict=strict, component=component, normals=normals))
 
 
@@ -201,7 +203,8 @@ def _check_unreferenced(exam: Examination) -> None:
     bad = np.setdiff1d(np.arange(len(surface.vertices)), surface.faces)
     if len(bad):
         problem = f"{len(bad)} {plural(len(bad), 'vertex is', 'vertices are')} in no face"
-        action = "left out, without a match (-1 in the maps)"
+        left = "not part of it" if exam.cloud is not None else "left out, without a match (-1 in the maps)"
+        action = left
         exam.add("unreferenced-vertex", len(bad), problem, vertices=bad, action=action)
         exam.surface = surface.keep(np.ones(len(surface.faces), dtype=bool))
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from clalign.mesh.topology import boxed, face_normals, flipped
+from clalign.mesh.topology import boxed, face_areas, face_normals, flipped, merge_positions
 
 logger = logging.getLogger(__name__)
 
@@ -47,6 +47,8 @@ LONGEST = 8.0
 """Triangles with a side longer than so many distances between neighbouring points span a hole."""
 LEAST_COVERED = 0.9
 """Share of the points on the closed surface below which the cloud is taken for an open sheet."""
+LARGEST_LIDS = 0.05
+"""Share of the closed surface's area in triangles that span holes above which the cloud is taken for an open sheet."""
 AGREEING = 2
 """Corners out of three whose neighbourhoods must have a triangle for it to be part of an open sheet."""
 
@@ -54,20 +56,29 @@ AGREEING = 2
 def surface_of_points(points: Points, normals: Points | None = None) -> Faces:
     """Return triangles (m, 3) on points (n, 3), without regard to whether they make a manifold surface.
 
-    normals : (n, 3) that say which side of an open sheet is its front; of a closed surface it is the outside.
+    Of points at one place the first is a corner of triangles.
+
+    normals : (n, 3), of any length, that say which side of an open sheet is its front; of a closed surface it is the
+        outside.
     """
-    inside, _, _ = boxed(points)
-    if np.linalg.matrix_rank(inside - inside.mean(axis=0), tol=THIN * np.sqrt(len(points))) < 2:
+    first, _ = merge_positions(points)
+    if len(first) < 4:
         return np.zeros((0, 3), dtype=np.int64)
-    faces = _without_spans(inside, _closed_surface(inside))
-    closed = len(np.unique(faces)) >= LEAST_COVERED * len(points)
+    inside, _, _ = boxed(points[first])
+    if np.linalg.matrix_rank(inside - inside.mean(axis=0), tol=THIN * np.sqrt(len(first))) < 2:
+        return np.zeros((0, 3), dtype=np.int64)
+    whole = _closed_surface(inside)
+    faces = _without_spans(inside, whole)
+    area, left = (float(face_areas(inside, each).sum()) for each in (whole, faces))
+    # What was spanned is the lid of a sheet, or fills its hollows, and the sides of a sheet can be told by no inside.
+    closed = len(np.unique(faces)) >= LEAST_COVERED * len(first) and left >= (1.0 - LARGEST_LIDS) * area
     if not closed:
         faces = _without_spans(inside, _open_sheet(inside))
-    if normals is None:
-        return faces
-    agreement = np.einsum("fx,fcx->f", face_normals(inside, faces), normals[faces])
-    # Triangles of a sheet come in any order of corners, those of a closed surface all in one.
-    return flipped(faces, np.full(len(faces), agreement.sum() < 0) if closed else agreement < 0)
+    if normals is not None:
+        agreement = np.einsum("fx,fcx->f", face_normals(inside, faces), normals[first][faces])
+        # Triangles of a sheet come in any order of corners, those of a closed surface all in one.
+        faces = flipped(faces, np.full(len(faces), agreement.sum() < 0) if closed else agreement < 0)
+    return first[faces]
 
 
 @dataclass(frozen=True)

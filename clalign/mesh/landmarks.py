@@ -45,10 +45,11 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class _Side:
-    """What a file or an array says of one shape: vertex numbers (k,) or points (k, 3), with their names."""
+    """What a file or an array says of one shape: vertex numbers (k,) or points (k, 3); names and axes, if known."""
 
     values: NDArray[np.number]
     names: tuple[str, ...] | None = None
+    system: str = ""
 
 
 def landmarks_of(given: Any, source: Mesh, target: Mesh, tolerance: float = 0.0) -> Landmarks:
@@ -60,7 +61,7 @@ def landmarks_of(given: Any, source: Mesh, target: Mesh, tolerance: float = 0.0)
             see `read_landmarks`.
         (k, 2) int
             vertices of the source's and of the target's file, counted from 0.
-        two arrays, (k,) int or (k, 3) float each
+        tuple of two arrays, (k,) int or (k, 3) float each
             vertices, or points in the coordinates of the file, of source and target.
     source, target : the surfaces.
     tolerance : how far they may be off, in sqrt(area).
@@ -73,7 +74,7 @@ def landmarks_of(given: Any, source: Mesh, target: Mesh, tolerance: float = 0.0)
     if not 0 <= tolerance < np.inf:
         raise InputError(f"the tolerance of landmarks must not be negative, got {tolerance!r}")
     if isinstance(given, Landmarks):
-        return given
+        return replace(given, tolerance=tolerance or given.tolerance)
     return replace(_landmarks_of(given, source, target), tolerance=tolerance)
 
 
@@ -86,11 +87,12 @@ def _landmarks_of(given: Any, source: Mesh, target: Mesh) -> Landmarks:
         raise InputError(f"landmarks: expected pairs of vertices, two arrays or files, not {given!r}") from error
     if rows and all(isinstance(row, (str, os.PathLike)) for row in rows):
         return read_landmarks(rows, source, target)
-    if len(rows) == 2 and all(np.ndim(row) == 2 for row in rows):
+    of_sides = isinstance(given, tuple) or (
+        isinstance(given, list) and all(isinstance(row, np.ndarray) for row in rows)
+    )
+    if len(rows) == 2 and of_sides:
         return _paired(_Side(_numbers(rows[0])), _Side(_numbers(rows[1])), source, target)
     table = _numbers(rows)
-    if table.ndim == 2 and len(table) == 2 and table.shape[1] != 2:
-        return _paired(_Side(table[0]), _Side(table[1]), source, target)
     if table.ndim != 2 or table.shape[1] != 2 or not len(table):
         raise InputError(f"landmarks: expected rows of two vertices, got an array of shape {table.shape}")
     return _paired(_Side(table[:, 0]), _Side(table[:, 1]), source, target)
@@ -120,6 +122,10 @@ def read_landmarks(paths: Sequence[str | os.PathLike[str]], source: Mesh, target
     if len(paths) != 2:
         raise InputError(f"landmarks: give one file, or one of the source and one of the target, not {len(paths)}")
     first, second = (_one_side(Path(path)) for path in paths)
+    if first.system and second.system and first.system != second.system:
+        raise InputError(
+            f"{paths[0]} has {first.system} coordinates and {paths[1]} has {second.system}; save both as their meshes"
+        )
     if first.names is not None and second.names is not None:
         first, second = _joined_by_name(first, second, [Path(path).name for path in paths])
     return _paired(first, second, source, target)
@@ -221,8 +227,13 @@ def _text(path: Path) -> str:
 
 def _rows(path: Path) -> tuple[tuple[str, ...] | None, NDArray[np.float64]]:
     """Names, if there are any, and the table of numbers of a text file."""
-    lines = [line.partition("#")[0].strip() for line in _text(path).splitlines()]
-    words = [[word for word in re.split(r"[,;\t ]+", line) if word] for line in lines if line]
+    lines = [line.strip() for line in _text(path).splitlines() if not re.match(r"\s*#(\s|$)", line)]
+    # Names may hold blanks where something else stands between columns.
+    words = [
+        [word.strip() for word in re.split(r"[,;\t]" if re.search(r"[,;\t]", line) else r"\s+", line) if word.strip()]
+        for line in lines
+        if line
+    ]
     if words and not any(_is_number(word) for word in words[0]):
         words = words[1:]
     if not words:
@@ -239,11 +250,7 @@ def _rows(path: Path) -> tuple[tuple[str, ...] | None, NDArray[np.float64]]:
 
 
 def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+    return re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", word) is not None
 
 
 def _read_slicer(path: Path) -> _Side:
@@ -256,7 +263,8 @@ def _read_slicer(path: Path) -> _Side:
             if point.get("positionStatus", "defined") == "defined"
         ]
         places = np.array([point["position"] for point in points], dtype=np.float64).reshape(-1, 3)
-        return _Side(places, tuple(str(point["label"]) for point in points))
+        systems = {str(markup.get("coordinateSystem", "")) for markup in json.loads(_text(path))["markups"]}
+        return _Side(places, tuple(str(point["label"]) for point in points), "/".join(sorted(systems)))
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: is no markups file of 3D Slicer ({type(error).__name__}: {error})") from error
 

@@ -39,11 +39,19 @@ class Repaired:
     """What joining vertices at equal positions may mend, where that was not done and would join any; else empty."""
 
 
-def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False, component: int = 1) -> Repaired:
+def repair(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    *,
+    merge: bool = False,
+    component: int = 1,
+    normals: NDArray[np.float64] | None = None,
+) -> Repaired:
     """Drop, cut and flip whatever keeps a mesh, (n, 3) and (m, 3), from being one oriented surface.
 
     merge : first join vertices at exactly equal positions.
     component : number of the piece to keep, from 1 for the largest.
+    normals : (n, 3) of points without faces, which say where the front of an open sheet is.
 
     Raises
     ------
@@ -55,7 +63,10 @@ def repair(vertices: ArrayLike, faces: ArrayLike, *, merge: bool = False, compon
     surface = _readable(Surface.whole(points, triangles), notes)
     if merge:
         surface = _merged(surface, notes)
-    diagnosis = examined(Examination(surface, component=component, cut_open=True, alone=True))
+    if not len(surface.faces) and len(triangles):
+        raise MeshError(f"the mesh cannot be repaired; after {'; '.join(notes)}: no face is left")
+    known = normals if normals is None or merge else normals[surface.file_index]
+    diagnosis = examined(Examination(surface, component=component, cut_open=True, alone=True, normals=known))
     left = surface if diagnosis.surface is None else diagnosis.surface
     advice = "" if merge or not duplicate_places(left.vertices) else "add --merge to join vertices at equal positions"
     if diagnosis.refused or diagnosis.surface is None:

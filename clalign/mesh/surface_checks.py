@@ -32,8 +32,8 @@ def close_seams(exam: Examination) -> None:
     partner = boundary_partners(surface, distance)
     moved = np.flatnonzero(partner != np.arange(len(partner)))
     closed = joined(surface, partner)
-    # A strip that is closed to a Möbius strip would lose its sides.
-    if len(moved) and not _twisted(closed).any():
+    # A strip that is closed to a Möbius strip would lose its sides; a small one beside a body is cut open later.
+    if len(moved) and _area_share(closed, _twisted(closed)) <= ONE_SIDED:
         lie = plural(len(moved), "vertex lies", "vertices lie")
         problem = f"{len(moved)} {lie} on open edges at the place of another one (within {distance:.2g})"
         exam.add("open-seam", len(moved), problem, vertices=moved, action="joined to it, to share one match")
@@ -124,11 +124,20 @@ def _twisted(surface: Surface) -> BoolArray:
     return topology.coherent_orientation(surface.faces, table, *topology.paired_half_edges(table))[1]
 
 
+def _area_share(surface: Surface, faces: BoolArray) -> float:
+    """Area of the marked faces, as a part of all."""
+    areas = topology.face_areas(topology.boxed(surface.vertices)[0], surface.faces)
+    total = float(areas.sum())
+    return float(areas[faces].sum()) / total if total > 0 else 0.0
+
+
 def _one_sided(exam: Examination) -> bool:
     """Refuse a surface with only one side; read strictly, already for a part of it."""
-    bad = np.flatnonzero(_twisted(exam.surface))
-    areas = topology.face_areas(topology.boxed(exam.surface.vertices)[0], exam.surface.faces)
-    if not len(bad) or (not exam.strict and (exam.cut_open or areas[bad].sum() <= ONE_SIDED * areas.sum())):
+    twisted = _twisted(exam.surface)
+    bad = np.flatnonzero(twisted)
+    if not len(bad):
+        return False
+    if not exam.strict and (exam.cut_open or _area_share(exam.surface, twisted) <= ONE_SIDED):
         return False
     problem = f"the surface has only one side, like a Möbius strip or a Klein bottle ({len(bad)} faces)"
     exam.add("non-orientable", len(bad), problem, faces=bad, advice="cut open along a seam, {repair}")

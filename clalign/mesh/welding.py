@@ -23,6 +23,8 @@ NEAR_EDGES = 0.01
 """... but never farther than this part of the median edge."""
 _MOST_CUTS = 20
 """A face is cut at one of its sides at a time; sides with vertices on them are looked for so often."""
+_CROWD = 300
+"""Vertices of the boundary around a side above which it is not looked at."""
 _COLLAPSES = 20
 
 
@@ -117,12 +119,13 @@ def cut_at_junctions(surface: Surface, distance: float) -> tuple[Surface, IntArr
     """
     found: list[IntArray] = []
     for _ in range(_MOST_CUTS):
-        sides, on_side = _junctions(surface, distance)
+        sides, on_side, off_middle = _junctions(surface, distance)
         if not len(sides):
             break
         m = len(surface.faces)
         # One side a face and one vertex a side, then again: what was cut has new sides.
-        order = np.lexsort((on_side, sides % m))
+        # Of several on a side the one nearest its middle, so that n of them take about log n rounds.
+        order = np.lexsort((on_side, off_middle, sides % m))
         first = order[np.unique(sides[order] % m, return_index=True)[1]]
         face, corner, vertex = sides[first] % m, sides[first] // m, on_side[first]
         head = surface.faces[face, (corner + 1) % 3]
@@ -138,19 +141,28 @@ def cut_at_junctions(surface: Surface, distance: float) -> tuple[Surface, IntArr
     return surface, np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *found]))
 
 
-def _junctions(surface: Surface, distance: float) -> tuple[IntArray, IntArray]:
-    """Half-edges of the boundary and vertices of the boundary that lie within them, as pairs."""
+def _junctions(surface: Surface, distance: float) -> tuple[IntArray, IntArray, NDArray[np.float64]]:
+    """Half-edges of the boundary and vertices of the boundary that lie within them, and how far off the middle.
+
+    Sides with very many vertices around them (hair, grass) are left as they are.
+    """
     table = topology.edge_table(surface.faces, len(surface.vertices))
     lonely = np.flatnonzero(table.face_count[table.edge_of_half_edge] == 1)
     if not len(lonely):
-        return lonely, lonely
+        return lonely, lonely, np.zeros(0)
     tail = surface.faces.T.ravel()[lonely]
     head = np.roll(surface.faces, -1, axis=1).T.ravel()[lonely]
     rim = np.unique(np.concatenate([tail, head]))
     start, along = surface.vertices[tail], surface.vertices[head] - surface.vertices[tail]
     length = np.linalg.norm(along, axis=1)
     tree = cKDTree(surface.vertices[rim])
-    near = tree.query_ball_point(start + 0.5 * along, 0.5 * length, return_sorted=True)
+    middle = start + 0.5 * along
+    crowd = tree.query_ball_point(middle, 0.5 * length, return_length=True)
+    quiet = crowd <= _CROWD
+    lonely, start, along, length, middle = (each[quiet] for each in (lonely, start, along, length, middle))
+    if not len(lonely):
+        return lonely, lonely, np.zeros(0)
+    near = tree.query_ball_point(middle, 0.5 * length, return_sorted=True)
     side = np.repeat(np.arange(len(lonely)), [len(each) for each in near])
     vertex = rim[np.concatenate([np.asarray(each, dtype=np.int64) for each in near])] if len(side) else side
     offset = surface.vertices[vertex] - start[side]
@@ -159,7 +171,7 @@ def _junctions(surface: Surface, distance: float) -> tuple[IntArray, IntArray]:
     apart = np.minimum(share, 1 - share) * length[side]
     opposite = np.roll(surface.faces, -2, axis=1).T.ravel()[lonely][side]
     hit = (away <= distance) & (apart > distance) & (vertex != opposite)
-    return lonely[side[hit]], vertex[hit]
+    return lonely[side[hit]], vertex[hit], np.abs(share[hit] - 0.5)
 
 
 def duplicate_places(vertices: NDArray[np.float64]) -> bool:

@@ -23,7 +23,7 @@ from clalign.mesh.landmarks import Landmarks
 from clalign.rules import LandmarkRules, Rules
 from clalign.search.batch import SamplePair, map_distances, up_sample
 from clalign.search.find import Candidate, SearchResult
-from clalign.search.score import map_scores
+from clalign.search.score import facing, map_scores
 
 STARTED_FROM = 3
 """Distances to fewer points tell hardly any part of a surface from another."""
@@ -47,15 +47,15 @@ def choose_by_landmarks(
 ) -> SearchResult:
     """Return the result of a search with its candidates put in order by landmarks, then by score.
 
-    With three landmarks or more, one candidate starts from them: vertices with similar distances to all landmarks are
-    matched. Candidates that send landmarks farther away than the best does are no rivals, so that the confidence is
-    that among maps which agree with what is known.
+    With three landmarks or more, and without a start, one candidate starts from them: vertices with similar distances
+    to all landmarks are matched. Candidates that send landmarks farther away than the best does are no rivals, so that
+    the confidence is that among maps which agree with what is known.
 
     Parameters
     ----------
     found : the candidates of the search.
     landmarks : pairs of vertices.
-    sign : +1 where the orientation is to be kept, −1 where it is to be reversed.
+    sign : +1 where the orientation is to be kept, −1 where it is to be reversed, 0 where it is free.
     """
     limits = rules.landmarks
     pair = SamplePair.of(source, target, backend)
@@ -64,7 +64,7 @@ def choose_by_landmarks(
     every = [each.functional for each in (found.chosen, *found.alternatives)][: limits.most]
     size = min(len(each) for each in every)
     functional = np.stack([each[:size, :size] for each in every])
-    if len(landmarks) >= STARTED_FROM:
+    if len(landmarks) >= STARTED_FROM and not math.isnan(found.margin):
         start = _started(source, target, rows, size, backend)
         grown = up_sample(pair, start[None], rules.search.settle).functional
         started = np.zeros((1, size, size))
@@ -75,8 +75,9 @@ def choose_by_landmarks(
     misses = np.array([_miss(source, target, landmarks, rows, each, limits) for each in batch.functional])
     scores = map_scores(pair, batch, level.points)
     orientation = pair.orientations(batch, rules.search.scored_products)
-    failed = sign * orientation <= rules.search.least_orientation
-    agreeing = misses <= misses[~failed].min(initial=misses.min()) + limits.worse
+    failed = facing(orientation, sign) <= rules.search.least_orientation
+    least = misses.min() if failed.all() else misses[~failed].min()
+    agreeing = misses <= least + limits.worse
     order = np.lexsort((scores, ~agreeing, failed))
     between = map_distances(pair, batch.index, level.points)
     distinct = [int(order[0])]
@@ -95,7 +96,9 @@ def choose_by_landmarks(
     smallest = np.finfo(np.float64).tiny
     rivals = [each for each in distinct[1:] if agreeing[each] and not failed[each]]
     ratios = np.maximum(scores[rivals], smallest) / max(float(scores[distinct[0]]), smallest)
-    return SearchResult(chosen, tuple(others), float(np.log(np.maximum(ratios, 1.0)).min(initial=math.inf)))
+    # Where nothing but a start was looked at, nothing is known of rivals.
+    none = math.nan if math.isnan(found.margin) else math.inf
+    return SearchResult(chosen, tuple(others), float(np.log(np.maximum(ratios, 1.0)).min()) if rivals else none)
 
 
 def _started(

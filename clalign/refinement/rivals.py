@@ -22,7 +22,7 @@ from clalign.refinement.zoomout import sampled_bases
 from clalign.rules import RivalRules, Rules
 from clalign.search.batch import SamplePair, map_distances, up_sample
 from clalign.search.find import Candidate, SearchResult
-from clalign.search.score import map_scores
+from clalign.search.score import facing, map_scores
 
 
 def in_doubt(found: SearchResult, rules: RivalRules) -> bool:
@@ -91,7 +91,7 @@ def choose_grown(
     Parameters
     ----------
     found : candidates, more than one.
-    sign : +1 where the orientation is to be kept, −1 where it is to be reversed.
+    sign : +1 where the orientation is to be kept, −1 where it is to be reversed, 0 where it is free.
     """
     limits, every = rules.rivals, (found.chosen, *found.alternatives)
     largest = limits.slack * max(found.chosen.score, limits.resolution)
@@ -108,7 +108,7 @@ def choose_grown(
     batch = up_sample(pair, functional, [level])
     scores = map_scores(pair, batch, level.points)
     orientation = pair.orientations(batch, rules.search.scored_products)
-    failed = sign * orientation <= rules.search.least_orientation
+    failed = facing(orientation, sign) <= rules.search.least_orientation
     order = [*np.lexsort((energies, failed[:count])), *range(count, len(every))]
     distances = map_distances(pair, batch.index, level.points)
     distinct = [order[0]]

@@ -86,7 +86,28 @@ def find_isometry(
         found = _search(SamplePair(samples_x, samples_y.mirrored(), backend), rules, report)
         mirrored = tuple(_mirrored(each) for each in found.alternatives)
         results.append(replace(found, chosen=_mirrored(found.chosen), alternatives=mirrored))
-    return min(results, key=lambda result: result.chosen.score)
+    if len(results) == 1:
+        return results[0]
+    return _either(SamplePair(samples_x, samples_y, backend), results, rules)
+
+
+def _either(pair: SamplePair, results: Sequence[SearchResult], rules: SearchRules) -> SearchResult:
+    """Return the results of both orientations as one: the best map, and what differs from it in either."""
+    every = [each for result in results for each in (result.chosen, *result.alternatives)]
+    every.sort(key=lambda each: (abs(each.orientation) <= rules.least_orientation, each.score))
+    size = min(len(each.functional) for each in every)
+    level = pair.fitted(rules.fine.last)
+    batch = up_sample(pair, np.stack([each.functional[:size, :size] for each in every]), [level])
+    between = map_distances(pair, batch.index, level.points)
+    distinct = [0]
+    for number in range(1, len(every)):
+        if (between[distinct, number] > rules.distinct).all():
+            distinct.append(number)
+    chosen, *others = (replace(every[number], distance=float(between[0, number])) for number in distinct)
+    passed = [each for each in others if abs(each.orientation) > rules.least_orientation]
+    smallest = np.finfo(np.float64).tiny
+    ratios = [max(each.score, smallest) / max(chosen.score, smallest) for each in passed]
+    return SearchResult(chosen, tuple(others), math.log(max(min(ratios), 1.0)) if ratios else math.inf)
 
 
 def _mirrored(candidate: Candidate) -> Candidate:

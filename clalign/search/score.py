@@ -80,6 +80,11 @@ def map_scores(pair: SamplePair, batch: Batch, points: int) -> NDArray[np.float6
     )
 
 
+def facing(orientation: NDArray[np.float64], sign: float) -> NDArray[np.float64]:
+    """Return orientations as the wanted one counts them: kept for the sign 1, reversed for -1, either for 0."""
+    return np.abs(orientation) if sign == 0 else sign * orientation
+
+
 def ranked(pair: SamplePair, batch: Batch, points: int, rules: SearchRules) -> Ranking:
     """Rank candidates by `map_scores`, those with an orientation above the least one before the others."""
     scores = map_scores(pair, batch, points)

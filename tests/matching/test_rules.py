@@ -81,7 +81,7 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
 
 def doubts(margin: float, orientation: float, judgement: JudgementRules) -> list[str]:
     candidate = Candidate(np.eye(3), 1.0, orientation, 0.0)
-    state = SimpleNamespace(found=SearchResult(candidate, (), margin), alternatives=())
+    state = SimpleNamespace(found=SearchResult(candidate, (), margin), alternatives=(), options=Options())
     return _doubts(state, judgement)  # type: ignore[arg-type]
 
 

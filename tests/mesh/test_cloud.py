@@ -69,9 +69,33 @@ def test_an_open_sheet_has_a_boundary_and_the_front_of_its_normals(rng: np.rando
         assert (found.surface.vertex_of_file() >= 0).mean() > 0.97
 
 
+@pytest.mark.parametrize("wave", ["saddle", "ripples", "bump"])
+def test_curved_sheets_are_open(wave: str, rng: np.random.Generator) -> None:
+    x, y = rng.uniform(-1, 1, (2, 3000))
+    height = {
+        "saddle": 0.3 * np.sin(2 * x) * np.cos(y),
+        "ripples": 0.2 * np.sin(5 * x),
+        "bump": 0.6 * np.exp(-6 * (x**2 + y**2)),
+    }[wave]
+    found = diagnose(np.column_stack([x, y, height]), (), normals=np.tile([0.0, 0.0, 1.0], (3000, 1)))
+    assert found.surface is not None
+    corners = found.surface.vertices[found.surface.faces]
+    projected = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    assert projected.sum() == pytest.approx(4.0, rel=0.06)
+    assert (projected > 0).mean() > 0.99
+
+
+def test_repeated_points_are_one(rng: np.random.Generator) -> None:
+    points = ball(rng, 700)
+    found = diagnose(np.concatenate([points] * 6), ())
+    assert (found.genus, found.boundary_loops) == (0, 0)
+    assert found.surface is not None
+    assert (found.surface.vertex_of_file() >= 0).all()
+
+
 def test_holes_of_the_cloud_stay_holes(rng: np.random.Generator) -> None:
     points = ball(rng, 6000)
-    found = diagnose(points[points[:, 2] < 0.8], ())
+    found = diagnose(points[points[:, 2] < 0.93], ())
     assert (found.boundary_loops, found.genus) == (1, 0)
 
 

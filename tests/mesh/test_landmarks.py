@@ -62,6 +62,10 @@ def test_arrays(meshes: tuple[Mesh, Mesh], points: list[Points]) -> None:
     found = landmarks_of(tuple(points), *meshes)
     same(found)
     assert found.source_gap.max() < 1e-9
+    two = landmarks_of((PAIRS[:2, 0], PAIRS[:2, 1]), *meshes)
+    np.testing.assert_array_equal(two.target, PAIRS[:2, 1])
+    np.testing.assert_array_equal(landmarks_of(PAIRS[:2], *meshes).target, PAIRS[:2, 1])
+    assert landmarks_of(two, *meshes, 0.2).tolerance == 0.2
     one = landmarks_of([[3, 40]], *meshes)
     assert (len(one), one.names) == (1, ("1",))
 
@@ -75,12 +79,13 @@ def test_points_beside_the_surface_are_snapped_and_say_how_far(meshes: tuple[Mes
         landmarks_of((points[0], points[1] + [100.0, 0, 0]), *meshes)
 
 
-@pytest.mark.parametrize("name", ["plain.txt", "commas.csv", "named.csv", "headed.csv", "points.txt"])
+@pytest.mark.parametrize("name", ["plain.txt", "commas.csv", "named.csv", "spaced.csv", "headed.csv", "points.txt"])
 def test_one_file(name: str, meshes: tuple[Mesh, Mesh], points: list[Points], tmp_path: Path) -> None:
     rows = {
         "plain.txt": ["# pairs", *(f"{a} {b}" for a, b in PAIRS)],
         "commas.csv": [f"{a},{b}" for a, b in PAIRS],
         "named.csv": [f"{name};{a};{b}" for name, (a, b) in zip(NAMES, PAIRS, strict=True)],
+        "spaced.csv": [f"{name} tip, {a}, {b}" for name, (a, b) in zip(NAMES, PAIRS, strict=True)],
         "headed.csv": ["source,target", *(f"{a},{b}" for a, b in PAIRS)],
         "points.txt": [" ".join(map(repr, [*a, *b])) for a, b in zip(*(p.tolist() for p in points), strict=True)],
     }[name]
@@ -88,7 +93,8 @@ def test_one_file(name: str, meshes: tuple[Mesh, Mesh], points: list[Points], tm
     path.write_text("\n".join(rows) + "\n")
     found = landmarks_of(path, *meshes)
     same(found)
-    assert found.names == (NAMES if name == "named.csv" else ("1", "2", "3"))
+    spaced = tuple(f"{each} tip" for each in NAMES)
+    assert found.names == {"named.csv": NAMES, "spaced.csv": spaced}.get(name, ("1", "2", "3"))
 
 
 @pytest.mark.parametrize(("write", "suffix"), [(slicer, ".mrk.json"), (meshlab, ".pp")])
@@ -128,6 +134,7 @@ def test_what_is_wrong_with_arrays_is_named(meshes: tuple[Mesh, Mesh], given: ob
         ("nose,1,2\n3,4\n", "some rows begin with a name"),
         ("# none\n", "holds no landmark"),
         ("1 2 3\n", "expected 2 vertex numbers or 6"),
+        ("1_2 3 4\n5 6 7\n", "some rows begin with a name"),
     ],
 )
 def test_what_is_wrong_with_a_text_is_named(meshes: tuple[Mesh, Mesh], text: str, words: str, tmp_path: Path) -> None:
