@@ -180,7 +180,8 @@ def _doubts(state: MatchState, rules: JudgementRules) -> list[str]:
     wanted = facing(np.array(orientation), wanted_sign(state))
     if wanted < -rules.low_orientation:
         doubts.append(
-            f"orientation {orientation:+.2f}: the map is mirrored; --orientation reversing or any says that it may be"
+            f"orientation {orientation:+.2f}: against --orientation {state.options.search.orientation} the map is "
+            f"{'mirrored' if orientation < 0 else 'not mirrored'}; no other was found to pass"
         )
     elif wanted < rules.low_orientation:
         doubts.append(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from prepared import MIDDLE
 
 from clalign.correspondence import Correspondence
+from clalign.errors import ClalignWarning
 from clalign.matching.pair import match
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
 
@@ -74,7 +75,8 @@ def test_true_landmarks_are_kept_and_a_wrong_one_is_named(
     np.testing.assert_array_equal(result.source_of_target[new_of_old[known]], known)
     assert mean_error(result, new_of_old) <= mean_error(plain, new_of_old) + 1e-3
     pairs[2, 1] = new_of_old[spread(source, 6)[5]]
-    wrong = match(source, target, OPTIONS, landmarks=pairs)
+    with pytest.warns(ClalignWarning, match="landmark 3"):
+        wrong = match(source, target, OPTIONS, landmarks=pairs)
     assert mean_error(wrong, new_of_old) <= mean_error(plain, new_of_old) + 1e-3
     assert [each["used"] for each in wrong.landmarks] == [True, True, False, True, True]
     assert any(words.startswith(f"landmark 3 (source vertex {known[2]}") for words in wrong.warnings)

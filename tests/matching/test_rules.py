@@ -79,9 +79,10 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
     assert not {name for name in read if name.startswith("JudgementRules.")}
 
 
-def doubts(margin: float, orientation: float, judgement: JudgementRules) -> list[str]:
+def doubts(margin: float, orientation: float, judgement: JudgementRules, wanted: str = "any") -> list[str]:
     candidate = Candidate(np.eye(3), 1.0, orientation, 0.0)
-    state = SimpleNamespace(found=SearchResult(candidate, (), margin), alternatives=(), options=Options())
+    options = Options().replace({"search.orientation": wanted})
+    state = SimpleNamespace(found=SearchResult(candidate, (), margin), alternatives=(), options=options)
     return _doubts(state, judgement)  # type: ignore[arg-type]
 
 
@@ -93,6 +94,14 @@ def test_doubts_begin_at_the_rules(sign: float) -> None:
     assert ["orientation" in text for text in doubts(0.2, sign * 0.85, default)] == [True]
     assert len(doubts(0.1, sign * 0.85, default)) == 2
     assert doubts(0.1, sign * 0.85, JudgementRules(low_confidence=0.05, low_orientation=0.8)) == []
+
+
+def test_a_map_of_the_wrong_orientation_is_in_doubt() -> None:
+    for wanted, orientation in (("preserving", -0.95), ("reversing", 0.95)):
+        assert [
+            f"against --orientation {wanted}" in text for text in doubts(0.2, orientation, JudgementRules(), wanted)
+        ]
+        assert doubts(0.2, -orientation, JudgementRules(), wanted) == []
 
 
 def test_rules_go_with_the_options_into_the_result_and_back() -> None:

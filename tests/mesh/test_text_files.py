@@ -141,5 +141,7 @@ def test_files_without_faces_are_read_and_judged_by_the_checks(tmp_path: Path, s
     raw = read_mesh_file(path)
     np.testing.assert_allclose(raw.vertices, points, atol=1e-6)
     assert raw.faces.shape == (0, 3)
+    mesh = load_mesh(path)
+    assert (mesh.n_vertices, mesh.n_faces) == (42, 80)
     with pytest.raises(MeshError, match="has 42 vertices but no faces"):
-        load_mesh(path)
+        load_mesh(path, strict=True)
