@@ -98,9 +98,8 @@ def test_doubts_begin_at_the_rules(sign: float) -> None:
 
 def test_a_map_of_the_wrong_orientation_is_in_doubt() -> None:
     for wanted, orientation in (("preserving", -0.95), ("reversing", 0.95)):
-        assert [
-            f"against --orientation {wanted}" in text for text in doubts(0.2, orientation, JudgementRules(), wanted)
-        ]
+        (doubt,) = doubts(0.2, orientation, JudgementRules(), wanted)
+        assert f"against --orientation {wanted}" in doubt
         assert doubts(0.2, -orientation, JudgementRules(), wanted) == []
 
 
