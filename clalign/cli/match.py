@@ -9,12 +9,12 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clalign.cli.evaluate import bundled_truths, read_truth
+from clalign.cli.pair_input import PairInput, add_input_arguments
 from clalign.cli.terminal import Terminal, table
 from clalign.ctrl_c import plain_interrupts
 from clalign.data import bundled_pair
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from clalign.correspondence import Correspondence
     from clalign.evaluation.errors import Evaluation
     from clalign.evaluation.truth import Truth
-    from clalign.mesh.landmarks import Landmarks
     from clalign.mesh.mesh import Mesh
 
     Truths = tuple[Truth, Truth | None]
@@ -59,34 +58,7 @@ def add_match(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
     add_job_arguments(parser, Path("clalign-result"))
     _add_file_arguments(parser)
     parser.add_argument("--force", action="store_true", help="replace an earlier result in DIR")
-    parser.add_argument(
-        "--start",
-        metavar="MAP",
-        help="start from a map instead of a search: a text file with the target vertex of every source vertex (-1: not "
-        "known), a result folder, 'extrinsic' for shapes that lie on each other, or 'rigid' for nearly so",
-    )
-    parser.add_argument(
-        "--landmarks",
-        metavar="FILE",
-        nargs="+",
-        action="extend",
-        default=[],
-        help="after the meshes; points known to be the same: one file with a pair of vertex numbers or points a row "
-        "(text or CSV), or one for each mesh (also of 3D Slicer, .mrk.json, and MeshLab, .pp)",
-    )
-    parser.add_argument(
-        "--landmark-tolerance",
-        metavar="T",
-        type=float,
-        default=0.0,
-        help="how far landmarks may be off, in sqrt(area); above 0 none is kept exactly (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--component",
-        metavar="N[,N]",
-        help="the piece to match of a mesh with several, numbered from 1 for the largest as 'clalign check' lists "
-        "them: of both meshes, or of source and target; '-' for the one that stands out",
-    )
+    add_input_arguments(parser)
     parser.add_argument(
         "--truth",
         metavar="FILE",
@@ -105,49 +77,7 @@ def run_match(args: argparse.Namespace) -> int:
     def truths(source: Mesh, target: Mesh) -> Truths | None:
         return (read_truth(args.truth, None, source, target), None) if args.truth else None
 
-    if args.landmark_tolerance and not args.landmarks:
-        raise OptionError("--landmark-tolerance belongs to --landmarks FILE")
-    components, landmarks = chosen_components(args.component), tuple(args.landmarks)
-    meshes = _Files(args.source, args.target, *components, landmarks, args.landmark_tolerance)
-    return _run(meshes, args, truths, force=args.force)
-
-
-def chosen_components(text: str | None) -> tuple[int | None, int | None]:
-    """Return the pieces of source and target that ``--component`` names; None where none is named.
-
-    Raises
-    ------
-    OptionError
-        The text is something else than one or two numbers from 1.
-    """
-    words = (text or "-").split(",")
-    if len(words) > 2 or not all(word == "-" or (word.isdecimal() and int(word) > 0) for word in words):
-        raise OptionError(f"--component {text}: expected one number from 1 for both meshes or two, such as 1,2 or -,2")
-    chosen = [None if word == "-" else int(word) for word in words]
-    return chosen[0], chosen[-1]
-
-
-@dataclass(frozen=True)
-class _Files:
-    """Two mesh files, and which piece of each is meant."""
-
-    source: Path
-    target: Path
-    source_component: int | None = None
-    target_component: int | None = None
-    landmarks: tuple[str, ...] = ()
-    tolerance: float = 0.0
-
-    def load(self, *, strict: bool) -> tuple[Mesh, Mesh]:
-        from clalign.mesh.mesh import load_mesh
-
-        source = load_mesh(self.source, strict=strict, component=self.source_component)
-        return source, load_mesh(self.target, strict=strict, component=self.target_component)
-
-    def known(self, source: Mesh, target: Mesh) -> Landmarks | None:
-        from clalign.mesh.landmarks import landmarks_of
-
-        return landmarks_of(self.landmarks, source, target, self.tolerance) if self.landmarks else None
+    return _run(PairInput.of(args), args, truths, force=args.force)
 
 
 def add_demo(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -165,7 +95,7 @@ def add_demo(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run_demo(args: argparse.Namespace) -> int:
     """Match the bundled pair."""
-    return _run(_Files(bundled_pair().source, bundled_pair().target), args, bundled_truths, force=True)
+    return _run(PairInput(bundled_pair().source, bundled_pair().target), args, bundled_truths, force=True)
 
 
 def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> None:
@@ -255,7 +185,7 @@ def option_changes(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _run(
-    files: _Files,
+    given: PairInput,
     args: argparse.Namespace,
     truths_of: Callable[[Mesh, Mesh], Truths | None],
     *,
@@ -268,11 +198,12 @@ def _run(
     options = options_from(args)
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
 
+    import clalign
     from clalign.correspondence import FACTS_FILE
 
     with missed_interrupts() as raise_missed:
-        source, target = files.load(strict=options.surface.strict)
-        landmarks = files.known(source, target)
+        source, target = given.meshes(strict=options.surface.strict)
+        known = given.known(source, target)
         truths = truths_of(source, target)
         device = _device(options)
         # Last, so that no mistake elsewhere comes to light only after --force was added.
@@ -280,7 +211,7 @@ def _run(
         terminal.note(f"device: {device}")
         for role, mesh in (("source", source), ("target", target)):
             terminal.note(f"{role}: {mesh.path}, {mesh.n_vertices:,} vertices, {mesh.n_faces:,} faces")
-        result = _matched((source, target, landmarks), options, args, terminal, raise_missed)
+        result = _matched(partial(clalign.match, source, target, options, **known), args, terminal, raise_missed)
     evaluation = None
     try:
         with plain_interrupts():
@@ -307,24 +238,19 @@ def _device(options: Options) -> str:
 
 
 def _matched(
-    given: tuple[Mesh, Mesh, Landmarks | None],
-    options: Options,
+    match: Callable[..., Correspondence],
     args: argparse.Namespace,
     terminal: Terminal,
     raise_missed: Callable[[], None],
 ) -> Correspondence:
     """Match, and show each warning once: those that a user should read are raised and kept in the result, too."""
-    import clalign
     from clalign.geometry.cache import ShapeCache
 
-    match = clalign.match
     raise_missed()
     cache = None if args.no_cache else ShapeCache()
     with warnings.catch_warnings(record=True) as seen, terminal.progress() as progress:
         warnings.simplefilter("always", ClalignWarning)
-        source, target, landmarks = given
-        start = getattr(args, "start", None)
-        result = match(source, target, options, start=start, landmarks=landmarks, progress=progress, cache=cache)
+        result = match(progress=progress, cache=cache)
     raised = [str(warning.message) for warning in seen if issubclass(warning.category, ClalignWarning)]
     for message in dict.fromkeys([*result.warnings, *raised]):
         terminal.warn(message)

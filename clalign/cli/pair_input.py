@@ -1,0 +1,106 @@
+"""What the command line says of a pair before it is matched: the two files, their pieces, a start, landmarks."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clalign.errors import OptionError
+
+if TYPE_CHECKING:
+    from clalign.mesh.mesh import Mesh
+
+
+def add_input_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add ``--start``, ``--landmarks``, ``--landmark-tolerance`` and ``--component``."""
+    parser.add_argument(
+        "--start",
+        metavar="MAP",
+        help="start from a map instead of a search: a text file with the target vertex of every source vertex (-1: not "
+        "known), a result folder, 'extrinsic' for shapes that lie on each other, or 'rigid' for nearly so",
+    )
+    parser.add_argument(
+        "--landmarks",
+        metavar="FILE",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="after the meshes; points known to be the same: one file with a pair of vertex numbers or points a row "
+        "(text or CSV), or one for each mesh (also of 3D Slicer, .mrk.json, and MeshLab, .pp)",
+    )
+    parser.add_argument(
+        "--landmark-tolerance",
+        metavar="T",
+        type=float,
+        default=0.0,
+        help="how far landmarks may be off, in sqrt(area); above 0 none is kept exactly (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--component",
+        metavar="N[,N]",
+        help="the piece to match of a mesh with several, numbered from 1 for the largest as 'clalign check' lists "
+        "them: of both meshes, or of source and target; '-' for the one that stands out",
+    )
+
+
+def chosen_components(text: str | None) -> tuple[int | None, int | None]:
+    """Return the pieces of source and target that ``--component`` names; None where none is named.
+
+    Raises
+    ------
+    OptionError
+        The text is something else than one or two numbers from 1.
+    """
+    words = (text or "-").split(",")
+    if len(words) > 2 or not all(word == "-" or (word.isdecimal() and int(word) > 0) for word in words):
+        raise OptionError(f"--component {text}: expected one number from 1 for both meshes or two, such as 1,2 or -,2")
+    chosen = [None if word == "-" else int(word) for word in words]
+    return chosen[0], chosen[-1]
+
+
+@dataclass(frozen=True)
+class PairInput:
+    """Two mesh files, which piece of each is meant, and what is known of the map between them.
+
+    start : what `clalign.matching.start.starting_map` takes as text; None for a search.
+    landmarks : files.
+    tolerance : of the landmarks, in sqrt(area).
+    """
+
+    source: Path
+    target: Path
+    source_component: int | None = None
+    target_component: int | None = None
+    start: str | None = None
+    landmarks: tuple[str, ...] = ()
+    tolerance: float = 0.0
+
+    @staticmethod
+    def of(args: argparse.Namespace) -> PairInput:
+        """Return the input of a command with the arguments of `add_input_arguments`.
+
+        Raises
+        ------
+        OptionError
+            ``--component`` is no number, or a tolerance is given without landmarks.
+        """
+        if args.landmark_tolerance and not args.landmarks:
+            raise OptionError("--landmark-tolerance belongs to --landmarks FILE")
+        components, landmarks = chosen_components(args.component), tuple(args.landmarks)
+        return PairInput(args.source, args.target, *components, args.start, landmarks, args.landmark_tolerance)
+
+    def meshes(self, *, strict: bool) -> tuple[Mesh, Mesh]:
+        """Read both files."""
+        from clalign.mesh.mesh import load_mesh
+
+        source = load_mesh(self.source, strict=strict, component=self.source_component)
+        return source, load_mesh(self.target, strict=strict, component=self.target_component)
+
+    def known(self, source: Mesh, target: Mesh) -> dict[str, Any]:
+        """Return the arguments of `clalign.match` that say what is known, with the files of landmarks read."""
+        from clalign.mesh.landmarks import landmarks_of
+
+        landmarks = landmarks_of(self.landmarks, source, target, self.tolerance) if self.landmarks else None
+        return {"start": self.start, "landmarks": landmarks}
