@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.geometry.geodesics import farthest_point_geodesics
-from clalign.geometry.heat import diffusion_time
 from clalign.mesh.mesh import Mesh
 from clalign.rules import TipRules
 from clalign.search.tips import tips
@@ -65,7 +64,7 @@ def scaled_limbs(mesh: Mesh, factors: NDArray[np.float64]) -> Points:
     ----------
     factors : of the limbs, the one that ends farthest from the rest of the body first.
     """
-    geodesics = farthest_point_geodesics(mesh, SAMPLES, SAMPLES, time=diffusion_time(mesh.vertices, mesh.faces))
+    geodesics = farthest_point_geodesics(mesh, SAMPLES, SAMPLES)
     ends = tips(geodesics.distances, geodesics.weights, TipRules())
     distances = geodesics.rows[ends].astype(np.float64)
     vertices = mesh.file_vertices()

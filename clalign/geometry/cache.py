@@ -27,7 +27,7 @@ from clalign.storage.files import cache_folder, replaced_file
 logger = logging.getLogger(__name__)
 
 #: Part of every key; raised whenever the same input leads to other arrays than before.
-FORMAT = 2
+FORMAT = 3
 KEY_DIGITS = 40
 DEFAULT_LIMIT = 2 * 1024**3
 #: A temporary file of this age, in seconds, was left behind by a process that was killed.

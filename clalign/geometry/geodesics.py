@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from clalign.geometry.heat import Geodesics, Surface, distance_solver, farthest_points
+from clalign.geometry.heat import Geodesics, Surface, diffusion_time, distance_solver, farthest_points
 from clalign.geometry.operators import lumped_mass
 from clalign.mesh.mesh import Mesh
 
@@ -37,7 +37,7 @@ class DistanceFactors:
 
 
 def farthest_point_geodesics(
-    mesh: Mesh, search_samples: int, factor_samples: int, sampler: Sampler = farthest_points, *, time: float = 1.0
+    mesh: Mesh, search_samples: int, factor_samples: int, sampler: Sampler = farthest_points
 ) -> Geodesics:
     """Return the distances from farthest-point samples of a mesh (see `heat.farthest_points`).
 
@@ -49,7 +49,6 @@ def farthest_point_geodesics(
     search_samples : S, samples whose mutual distances are kept.
     factor_samples : N, samples whose full rows are kept (at most S).
     sampler : `heat.farthest_points`, or what does the same elsewhere.
-    time : see `heat.diffusion_time`.
 
     Raises
     ------
@@ -61,6 +60,7 @@ def farthest_point_geodesics(
     if count < min(search_samples, n):
         logger.info("%s: %d geodesic samples instead of %d (%d vertices)", mesh.name, count, search_samples, n)
     mass = lumped_mass(mesh.vertices, mesh.faces)
+    time = diffusion_time(mesh.vertices, mesh.faces)
     surface = Surface(mesh.vertices, mesh.faces, mass, mesh.name, time)
     return sampler(surface, count, min(factor_samples, count))
 

@@ -81,10 +81,10 @@ def diffusion_time(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> f
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 
+    from clalign.mesh.topology import edge_table
+
     n = len(vertices)
-    tail, head = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
-    keys = np.unique(np.minimum(tail, head) * n + np.maximum(tail, head))
-    low, high = keys // n, keys % n
+    low, high = edge_table(faces, n).edges.T
     length = np.linalg.norm(vertices[low] - vertices[high], axis=1)
     # An explicit zero would be no edge.
     graph = csr_matrix((np.maximum(length, np.finfo(np.float64).tiny), (low, high)), shape=(n, n))

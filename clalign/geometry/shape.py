@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from clalign.geometry.cache import ShapeCache, content_key
 from clalign.geometry.geodesics import DistanceFactors, farthest_point_geodesics, low_rank
-from clalign.geometry.heat import Geodesics, diffusion_time
+from clalign.geometry.heat import Geodesics
 from clalign.geometry.heat_process import HeatProcess
 from clalign.geometry.operators import (
     conformal_factor,
@@ -232,15 +232,10 @@ def _scale_invariant(
 
 
 def _distances(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
-    counts = options.search_samples, options.factor_samples
-    values: dict[str, float] = dict(zip(("search", "factor"), counts, strict=True))
-    time = diffusion_time(mesh.vertices, mesh.faces)
-    if time > 1:
-        # Distances of a version that knew one time only are not taken for these.
-        values["time"] = time
+    values = {"search": options.search_samples, "factor": options.factor_samples}
 
     def compute() -> Geodesics:
-        return farthest_point_geodesics(mesh, *counts, heat.farthest_points, time=time)
+        return farthest_point_geodesics(mesh, options.search_samples, options.factor_samples, heat.farthest_points)
 
     return _stored(cache, "geodesics", mesh, values, Geodesics, compute)
 
