@@ -169,8 +169,7 @@ def _attach_points(exam: Examination) -> None:
     surface, cloud = exam.surface, exam.cloud
     if cloud is None:
         return
-    corners = surface.vertices[surface.faces]
-    edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
+    edge = float(topology.side_lengths(surface.vertices, surface.faces).mean())
     off = np.flatnonzero((surface.vertex_of_file() < 0) & np.isfinite(cloud.vertices).all(axis=1))
     distance, nearest = cKDTree(surface.vertices).query(cloud.vertices[off])
     near = distance <= BESIDE * edge
@@ -203,8 +202,7 @@ def _check_unreferenced(exam: Examination) -> None:
     bad = np.setdiff1d(np.arange(len(surface.vertices)), surface.faces)
     if len(bad):
         problem = f"{len(bad)} {plural(len(bad), 'vertex is', 'vertices are')} in no face"
-        left = "not part of it" if exam.cloud is not None else "left out, without a match (-1 in the maps)"
-        action = left
+        action = "left out, without a match (-1 in the maps)" if exam.cloud is None else "not part of it"
         exam.add("unreferenced-vertex", len(bad), problem, vertices=bad, action=action)
         exam.surface = surface.keep(np.ones(len(surface.faces), dtype=bool))
 

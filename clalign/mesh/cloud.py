@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from clalign.mesh.topology import boxed, face_areas, face_normals, flipped, merge_positions
+from clalign.mesh.topology import boxed, face_areas, face_normals, flipped, merge_positions, side_lengths
 
 logger = logging.getLogger(__name__)
 
@@ -207,6 +207,5 @@ def _spacing(points: Points) -> NDArray[np.float64]:
 def _without_spans(points: Points, faces: Faces) -> Faces:
     """Leave out triangles that are large for the distances between points there: they span a hole of the cloud."""
     spacing = _spacing(points)
-    corners = points[faces]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    longest = side_lengths(points, faces).max(axis=1)
     return faces[longest <= LONGEST * spacing[faces].max(axis=1)]

@@ -9,6 +9,7 @@ from clalign.mesh import topology
 from clalign.mesh.defects import Surface
 from clalign.mesh.examination import Examination, plural
 from clalign.mesh.topology import BoolArray, IntArray
+from clalign.mesh.welding import duplicate_places
 
 LEFT_OUT = 0.01
 """Read strictly, pieces beside the largest are left out if together they have less than this part of the area."""
@@ -83,7 +84,7 @@ def _check_strictly(exam: Examination, rank_of_face: IntArray, areas: NDArray[np
         exam.surface = surface.keep(rank_of_face == chosen)
         return
     advice = "with the largest piece alone, {repair}"
-    if len(topology.merge_positions(surface.vertices)[0]) < len(surface.vertices):
+    if duplicate_places(surface.vertices):
         advice += "; add `--merge` to join vertices at equal positions first"
     exam.add("components", count, problem, vertices=samples, advice=advice)
 

@@ -16,7 +16,8 @@ from clalign.mesh import topology
 from clalign.mesh.checks import MAX_COORDINATE, examined, mesh_arrays
 from clalign.mesh.defects import Surface
 from clalign.mesh.examination import Examination
-from clalign.mesh.topology import BoolArray, IntArray
+from clalign.mesh.surface_checks import area_share
+from clalign.mesh.topology import BoolArray
 from clalign.mesh.welding import duplicate_places, joined
 
 
@@ -79,16 +80,9 @@ def repair(
     lost = len(points) - int((final.vertex_of_file() >= 0).sum())
     if lost:
         notes.append(f"{lost} of the {len(points)} given vertices are not in the result")
-    share = _area_share(surface, final.face_index)
+    # Of points all that there is of a surface was laid through them.
+    share = area_share(surface, np.isin(surface.face_index, final.face_index)) if len(triangles) else 1.0
     return Repaired(final.vertices, final.faces.astype(np.int32), final.file_index, tuple(notes), share, advice)
-
-
-def _area_share(surface: Surface, kept: IntArray) -> float:
-    """Area of the faces with the given numbers `kept`, as a part of all; 1 if a surface was laid through points."""
-    if not len(surface.faces):
-        return 1.0
-    areas = topology.face_areas(topology.boxed(surface.vertices)[0], surface.faces)
-    return float(areas[np.isin(surface.face_index, kept)].sum() / areas.sum())
 
 
 def _readable(surface: Surface, notes: list[str]) -> Surface:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from clalign.mesh import topology
-from clalign.mesh.defects import Defect, Severity, Surface
+from clalign.mesh.defects import SHOWN, Defect, Severity, Surface
 from clalign.mesh.examination import Examination, plural
 from clalign.mesh.gluing import glued
 from clalign.mesh.topology import BoolArray, IntArray
@@ -28,12 +28,15 @@ def close_seams(exam: Examination) -> None:
     if exam.strict:
         return
     surface = exam.surface
+    rim = np.unique(topology.boundary_edges(surface.faces, len(surface.vertices)))
+    if not len(rim):
+        return
     distance = welding_distance(surface)
-    partner = boundary_partners(surface, distance)
+    partner = boundary_partners(surface, rim, distance)
     moved = np.flatnonzero(partner != np.arange(len(partner)))
-    closed = joined(surface, partner)
+    closed = joined(surface, partner) if len(moved) else surface
     # A strip that is closed to a Möbius strip would lose its sides; a small one beside a body is cut open later.
-    if len(moved) and _area_share(closed, _twisted(closed)) <= ONE_SIDED:
+    if len(moved) and area_share(closed, _twisted(closed)) <= ONE_SIDED:
         lie = plural(len(moved), "vertex lies", "vertices lie")
         problem = f"{len(moved)} {lie} on open edges at the place of another one (within {distance:.2g})"
         exam.add("open-seam", len(moved), problem, vertices=moved, action="joined to it, to share one match")
@@ -97,7 +100,7 @@ def _part(exam: Examination) -> None:
 
 def _of_faces(kind: str, problem: str, numbers: IntArray, action: str) -> Defect:
     """A handled finding about faces that are known by their given numbers."""
-    return Defect(kind, Severity.HANDLED, len(numbers), problem, (), tuple(numbers[:5].tolist()), action)
+    return Defect(kind, Severity.HANDLED, len(numbers), problem, (), tuple(numbers[:SHOWN].tolist()), action)
 
 
 def check_orientation(exam: Examination) -> None:
@@ -124,7 +127,7 @@ def _twisted(surface: Surface) -> BoolArray:
     return topology.coherent_orientation(surface.faces, table, *topology.paired_half_edges(table))[1]
 
 
-def _area_share(surface: Surface, faces: BoolArray) -> float:
+def area_share(surface: Surface, faces: BoolArray) -> float:
     """Area of the marked faces, as a part of all."""
     areas = topology.face_areas(topology.boxed(surface.vertices)[0], surface.faces)
     total = float(areas.sum())
@@ -137,7 +140,7 @@ def _one_sided(exam: Examination) -> bool:
     bad = np.flatnonzero(twisted)
     if not len(bad):
         return False
-    if not exam.strict and (exam.cut_open or _area_share(exam.surface, twisted) <= ONE_SIDED):
+    if not exam.strict and (exam.cut_open or area_share(exam.surface, twisted) <= ONE_SIDED):
         return False
     problem = f"the surface has only one side, like a Möbius strip or a Klein bottle ({len(bad)} faces)"
     exam.add("non-orientable", len(bad), problem, faces=bad, advice="cut open along a seam, {repair}")

@@ -84,6 +84,12 @@ def face_areas(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
     return 0.5 * np.linalg.norm(face_normals(vertices, faces), axis=1)
 
 
+def side_lengths(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
+    """(m, 3) length of the side of each face that ends at each of its corners."""
+    corners = vertices[faces]
+    return np.asarray(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), dtype=np.float64)
+
+
 def vertex_areas(vertices: FloatArray, faces: NDArray[np.integer]) -> FloatArray:
     """(n,) a third of the area of the faces around each vertex; sums to the total area."""
     areas: FloatArray = np.repeat(face_areas(vertices, faces) / 3.0, 3)

@@ -30,8 +30,7 @@ _COLLAPSES = 20
 
 def welding_distance(surface: Surface) -> float:
     """Distance in the file's unit below which two vertices of the boundary are one."""
-    corners = surface.vertices[surface.faces]
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    edges = topology.side_lengths(surface.vertices, surface.faces)
     edges = edges[edges > 0]
     if not edges.size:
         return 0.0
@@ -40,15 +39,14 @@ def welding_distance(surface: Surface) -> float:
     return min(wanted, NEAR_EDGES * float(np.median(edges)))
 
 
-def boundary_partners(surface: Surface, distance: float) -> IntArray:
+def boundary_partners(surface: Surface, rim: IntArray, distance: float) -> IntArray:
     """(n,) for every vertex the first vertex of the boundary that lies at its place; itself where there is none.
 
     Vertices are chained: each is within `distance` of another one at the same place.
+
+    rim : the vertices of the boundary, at least one.
     """
     partner = np.arange(len(surface.vertices))
-    rim = np.unique(topology.boundary_edges(surface.faces, len(surface.vertices)))
-    if not len(rim):
-        return partner
     # Very many vertices can share one place; pairs are counted between places.
     at_place, place = topology.merge_positions(surface.vertices[rim])
     pairs = cKDTree(surface.vertices[rim[at_place]]).query_pairs(distance, output_type="ndarray")
