@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
-from clalign.errors import InputError
+from clalign.benchmark.perturb import nearest_on_the_same_side, simplified
 from clalign.mesh.topology import edge_table, face_areas, face_normals, vertex_normals
 
 Vertices = NDArray[np.float64]
@@ -26,6 +26,8 @@ NEEDLE = 1e-4
 """How far from an end of a side the new vertex of a needle lies, in lengths of the side."""
 TURNED = 0.02
 SAMPLED = 10_000
+NEAREST = 6
+"""Points among which a vertex finds the one that is its own on the same side."""
 COARSE = 0.1
 """Share of the vertices of a coarse copy."""
 REFINED = 0.04
@@ -168,18 +170,9 @@ def coarse(vertices: Vertices, faces: Faces, rng: np.random.Generator) -> Damage
     InputError
         The package fast-simplification is not installed.
     """
-    try:
-        import fast_simplification
-    except ImportError as error:
-        raise InputError("decimation needs the package fast-simplification: pip install fast-simplification") from error
-    points, sides = fast_simplification.simplify(
-        vertices.astype(np.float32), faces.astype(np.int32), target_reduction=1.0 - COARSE
-    )
-    points, sides = points.astype(np.float64), sides.astype(np.int64)
-    gaps, near = cKDTree(points).query(vertices, k=6)
-    facing = np.einsum("vkx,vx->vk", vertex_normals(points, sides)[near], vertex_normals(vertices, faces)) > 0
-    gaps = np.where(facing | ~facing.any(axis=1, keepdims=True), gaps, np.inf)
-    return Damaged(points, sides, near[np.arange(len(vertices)), gaps.argmin(axis=1)])
+    points, sides = simplified(vertices, faces, COARSE)
+    normals = vertex_normals(points, sides), vertex_normals(vertices, faces)
+    return Damaged(points, sides, nearest_on_the_same_side(points, normals[0], vertices, normals[1], NEAREST))
 
 
 def uneven(vertices: Vertices, faces: Faces, rng: np.random.Generator) -> Damaged:
@@ -253,11 +246,8 @@ def sampled(vertices: Vertices, faces: Faces, rng: np.random.Generator) -> Damag
     root, share = np.sqrt(rng.random(SAMPLED)), rng.random(SAMPLED)
     weights = np.stack([1 - root, root * (1 - share), root * share], axis=1)
     drawn = np.einsum("sc,scx->sx", weights, vertices[faces[chosen]])
-    gaps, near = cKDTree(drawn).query(vertices, k=6)
-    normals = face_normals(vertices, faces)[chosen]
-    facing = np.einsum("vkx,vx->vk", normals[near], vertex_normals(vertices, faces)) > 0
-    gaps = np.where(facing | ~facing.any(axis=1, keepdims=True), gaps, np.inf)
-    belongs = near[np.arange(len(vertices)), gaps.argmin(axis=1)]
+    normals = face_normals(vertices, faces)[chosen], vertex_normals(vertices, faces)
+    belongs = nearest_on_the_same_side(drawn, normals[0], vertices, normals[1], NEAREST)
     return Damaged(drawn, np.zeros((0, 3), dtype=np.int64), belongs)
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from clalign.errors import InputError
 from clalign.evaluation.truth import Truth
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
-from clalign.mesh.topology import edge_table, vertex_normals
+from clalign.mesh.topology import edge_table, side_lengths, vertex_normals
 
 NEIGHBOURS = 8
 
@@ -61,7 +61,7 @@ def noise(mesh: Mesh, amount: float = 0.2, seed: int = 0, direction: Literal["no
     rng = np.random.default_rng(seed)
     vertices = mesh.file_vertices()
     # Each edge counts once a face.
-    edge = np.linalg.norm(vertices[mesh.faces] - vertices[np.roll(mesh.faces, 1, axis=1)], axis=2).mean()
+    edge = side_lengths(vertices, mesh.faces).mean()
     lengths = amount * float(edge) * rng.standard_normal(mesh.n_vertices)
     if direction == "normal":
         directions = vertex_normals(vertices, mesh.faces)
@@ -106,31 +106,52 @@ def decimate(mesh: Mesh, share: float = 0.5) -> Perturbed:
     """
     if not 0 < share < 1:
         raise InputError(f"the share of faces to keep must lie in (0, 1), got {share!r}")
+    vertices, faces = simplified(mesh.vertices, mesh.faces, share)
+    changed = mesh_from_arrays(vertices * mesh.scale + mesh.offset, faces, f"{mesh.name} (decimated)")
+    there = changed.file_vertices()
+    nearest = nearest_on_the_same_side(
+        mesh.file_vertices(),
+        vertex_normals(mesh.file_vertices(), mesh.faces),
+        there,
+        vertex_normals(there, changed.faces),
+    )
+    return Perturbed(changed, Truth(mesh.file_index[nearest], changed.file_index))
+
+
+def simplified(
+    vertices: NDArray[np.float64], faces: NDArray[np.integer], share: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return vertices and faces after edges were collapsed by the quadric error until `share` of the faces is left.
+
+    Raises
+    ------
+    InputError
+        The package fast-simplification is not installed.
+    """
     try:
         import fast_simplification
     except ImportError as error:
         raise InputError("decimation needs the package fast-simplification: pip install fast-simplification") from error
-    vertices, faces = fast_simplification.simplify(
-        mesh.vertices.astype(np.float32), mesh.faces, target_reduction=1.0 - share
+    points, sides = fast_simplification.simplify(
+        vertices.astype(np.float32), faces.astype(np.int32), target_reduction=1.0 - share
     )
-    changed = mesh_from_arrays(
-        vertices.astype(np.float64) * mesh.scale + mesh.offset, faces, f"{mesh.name} (decimated)"
-    )
-    nearest = _nearest_on_the_same_side(mesh.file_vertices(), mesh.faces, changed.file_vertices(), changed.faces)
-    return Perturbed(changed, Truth(mesh.file_index[nearest], changed.file_index))
+    return points.astype(np.float64), sides.astype(np.int64)
 
 
-def _nearest_on_the_same_side(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
+def nearest_on_the_same_side(
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
     queries: NDArray[np.float64],
-    query_faces: NDArray[np.int32],
+    query_normals: NDArray[np.float64],
+    neighbours: int = NEIGHBOURS,
 ) -> NDArray[np.int64]:
-    """Return the (q,) nearest vertices, so that two sheets that almost touch are not confused."""
-    gaps, candidates = cKDTree(vertices).query(queries, k=min(NEIGHBOURS, len(vertices)))
-    agreement = np.einsum(
-        "qkx,qx->qk", vertex_normals(vertices, faces)[candidates], vertex_normals(queries, query_faces)
-    )
+    """Return the (q,) nearest points, so that two sheets that almost touch are not confused.
+
+    normals, query_normals : (p, 3) and (q, 3), of any length.
+    neighbours : points among which one on the same side is looked for.
+    """
+    gaps, candidates = cKDTree(points).query(queries, k=min(neighbours, len(points)))
+    agreement = np.einsum("qkx,qx->qk", normals[candidates], query_normals)
     gaps = np.where((agreement > 0) | ~(agreement > 0).any(axis=1, keepdims=True), gaps, np.inf)
     return candidates[np.arange(len(queries)), gaps.argmin(axis=1)]
 

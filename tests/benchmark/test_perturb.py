@@ -101,7 +101,8 @@ def test_the_other_side_of_a_thin_plate_is_not_the_nearest() -> None:
     vertices = np.concatenate([upper, lower])
     faces = np.concatenate([sheet, sheet[:, ::-1] + 100])
     queries = upper + np.array([0.4, 0.0, 0.0])
-    found = perturb._nearest_on_the_same_side(vertices, faces, queries, sheet)
+    normals = vertex_normals(vertices, faces), vertex_normals(queries, sheet)
+    found = perturb.nearest_on_the_same_side(vertices, normals[0], queries, normals[1])
     assert (found < 100).all()
 
 
