@@ -8,6 +8,7 @@ named and left aside.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,9 +22,9 @@ from clalign.maps.nearest import nearest_rows
 from clalign.maps.point_maps import PointMaps
 from clalign.mesh.landmarks import Landmarks
 from clalign.rules import LandmarkRules, Rules
-from clalign.search.batch import SamplePair, map_distances, up_sample
+from clalign.search.batch import SamplePair, different, map_distances, up_sample
 from clalign.search.find import Candidate, SearchResult
-from clalign.search.score import facing, map_scores
+from clalign.search.score import facing, map_scores, margin_over, over
 
 STARTED_FROM = 3
 """Distances to fewer points tell hardly any part of a surface from another."""
@@ -63,15 +64,10 @@ def choose_by_landmarks(
     rows = landmark_distances(source, landmarks.source), landmark_distances(target, landmarks.target)
     every = [each.functional for each in (found.chosen, *found.alternatives)][: limits.most]
     size = min(len(each) for each in every)
-    functional = np.stack([each[:size, :size] for each in every])
     if len(landmarks) >= STARTED_FROM and not math.isnan(found.margin):
         start = _started(source, target, rows, size, backend)
-        grown = up_sample(pair, start[None], rules.search.settle).functional
-        started = np.zeros((1, size, size))
-        low = min(size, grown.shape[1])
-        started[0, :low, :low] = grown[0, :low, :low]
-        functional = np.concatenate([functional, started])
-    batch = up_sample(pair, functional, [level])
+        every.append(up_sample(pair, start[None], rules.search.settle).functional[0])
+    batch = up_sample(pair, _of_one_size(every, size), [level])
     misses = np.array([_miss(source, target, landmarks, rows, each, limits) for each in batch.functional])
     scores = map_scores(pair, batch, level.points)
     orientation = pair.orientations(batch, rules.search.scored_products)
@@ -80,10 +76,7 @@ def choose_by_landmarks(
     agreeing = misses <= least + limits.worse
     order = np.lexsort((scores, ~agreeing, failed))
     between = map_distances(pair, batch.index, level.points)
-    distinct = [int(order[0])]
-    for number in order[1:]:
-        if (between[distinct, number] > rules.search.distinct).all():
-            distinct.append(int(number))
+    distinct = different(between, order, rules.search.distinct)
     chosen, *others = (
         Candidate(
             batch.functional[each].astype(np.float64),
@@ -93,12 +86,20 @@ def choose_by_landmarks(
         )
         for each in distinct
     )
-    smallest = np.finfo(np.float64).tiny
     rivals = [each for each in distinct[1:] if agreeing[each] and not failed[each]]
-    ratios = np.maximum(scores[rivals], smallest) / max(float(scores[distinct[0]]), smallest)
     # Where nothing but a start was looked at, nothing is known of rivals.
-    none = math.nan if math.isnan(found.margin) else math.inf
-    return SearchResult(chosen, tuple(others), float(np.log(np.maximum(ratios, 1.0)).min()) if rivals else none)
+    unknown = math.isnan(found.margin) and not rivals
+    margin = math.nan if unknown else margin_over(over(scores[rivals], chosen.score))
+    return SearchResult(chosen, tuple(others), margin)
+
+
+def _of_one_size(functional: Sequence[NDArray[np.floating]], size: int) -> NDArray[np.float64]:
+    """Candidates as a batch (B, size, size): larger ones cut, smaller ones filled with zeros."""
+    batch = np.zeros((len(functional), size, size))
+    for number, each in enumerate(functional):
+        low = min(size, len(each))
+        batch[number, :low, :low] = each[:low, :low]
+    return batch
 
 
 def _started(

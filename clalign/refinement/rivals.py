@@ -20,9 +20,9 @@ from clalign.maps.sampling import SampledBasis, nearest_samples, sample_function
 from clalign.mesh.topology import face_areas
 from clalign.refinement.zoomout import sampled_bases
 from clalign.rules import RivalRules, Rules
-from clalign.search.batch import SamplePair, map_distances, up_sample
+from clalign.search.batch import SamplePair, different, map_distances, up_sample
 from clalign.search.find import Candidate, SearchResult
-from clalign.search.score import facing, map_scores
+from clalign.search.score import facing, map_scores, margin_over, over
 
 
 def in_doubt(found: SearchResult, rules: RivalRules) -> bool:
@@ -111,19 +111,16 @@ def choose_grown(
     failed = facing(orientation, sign) <= rules.search.least_orientation
     order = [*np.lexsort((energies, failed[:count])), *range(count, len(every))]
     distances = map_distances(pair, batch.index, level.points)
-    distinct = [order[0]]
-    for number in order[1:]:
-        if failed[number] == failed[order[0]] and (distances[distinct, number] > rules.search.distinct).all():
-            distinct.append(number)
+    alike = [number for number in order if failed[number] == failed[order[0]]]
+    distinct = different(distances, np.array(alike), rules.search.distinct)
     # Of what was not grown only the ratio of the search's scores is known.
-    searched = np.maximum([each.score for each in every], np.finfo(np.float64).tiny)
-    ratios = np.concatenate([_ratios(energies, scores[:count], order[0], limits), searched[count:] / searched[0]])
+    searched = over(np.array([each.score for each in every]), found.chosen.score)
+    ratios = np.concatenate([_ratios(energies, scores[:count], order[0], limits), searched[count:]])
     chosen, *others = (
         Candidate(functional[each], float(scores[each]), float(orientation[each]), float(distances[order[0], each]))
         for each in distinct
     )
-    margin = np.log(np.maximum(ratios[distinct[1:]], 1.0)).min(initial=math.inf)
-    return SearchResult(chosen, tuple(others), float(margin))
+    return SearchResult(chosen, tuple(others), margin_over(ratios[distinct[1:]]))
 
 
 def _ratios(
@@ -131,6 +128,5 @@ def _ratios(
 ) -> NDArray[np.float64]:
     """Return J' / J of every rival; where the energies are the same, so are the maps as far as anyone can tell."""
     of_energies = energies / energies[chosen]
-    smallest = np.finfo(np.float64).tiny
-    of_scores = np.maximum(scores, smallest) / max(scores[chosen], smallest)
-    return np.where(np.abs(of_energies - 1.0) < rules.same_energy, 1.0, of_energies * of_scores)
+    ratios = of_energies * over(scores, scores[chosen])
+    return np.where(np.abs(of_energies - 1.0) < rules.same_energy, 1.0, ratios)

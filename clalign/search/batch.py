@@ -260,6 +260,11 @@ def distinct(pair: SamplePair, batch: Batch, points: int, radius: float, most: i
     return batch.take(np.array(without_duplicates(between, np.arange(batch.count), radius, most)))
 
 
+def different(between: NDArray[np.float64], order: NDArray[np.int64], radius: float) -> list[int]:
+    """Return candidates in the given order, leaving out those that are not farther than `radius` from one taken."""
+    return without_duplicates(between, order, float(np.nextafter(radius, np.inf)), len(order))
+
+
 def without_duplicates(between: NDArray[np.float64], order: NDArray[np.int64], radius: float, most: int) -> list[int]:
     """Return candidates in the given order, leaving out those within `radius` of one already taken."""
     kept: list[int] = []

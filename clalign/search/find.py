@@ -13,8 +13,8 @@ from clalign.engine.backend import Backend
 from clalign.geometry.shape import Shape
 from clalign.options import Orientation
 from clalign.rules import SearchRules
-from clalign.search.batch import Batch, SampledShape, SamplePair, least_distorted, map_distances, up_sample
-from clalign.search.score import ranked
+from clalign.search.batch import Batch, SampledShape, SamplePair, different, least_distorted, map_distances, up_sample
+from clalign.search.score import margin_over, over, ranked
 from clalign.search.symmetries import composed, self_maps, unfolded_again, widened
 from clalign.search.tips import tip_candidates
 from clalign.search.tree import grow
@@ -99,15 +99,10 @@ def _either(pair: SamplePair, results: Sequence[SearchResult], rules: SearchRule
     level = pair.fitted(rules.fine.last)
     batch = up_sample(pair, np.stack([each.functional[:size, :size] for each in every]), [level])
     between = map_distances(pair, batch.index, level.points)
-    distinct = [0]
-    for number in range(1, len(every)):
-        if (between[distinct, number] > rules.distinct).all():
-            distinct.append(number)
+    distinct = different(between, np.arange(len(every)), rules.distinct)
     chosen, *others = (replace(every[number], distance=float(between[0, number])) for number in distinct)
-    passed = [each for each in others if abs(each.orientation) > rules.least_orientation]
-    smallest = np.finfo(np.float64).tiny
-    ratios = [max(each.score, smallest) / max(chosen.score, smallest) for each in passed]
-    return SearchResult(chosen, tuple(others), math.log(max(min(ratios), 1.0)) if ratios else math.inf)
+    passed = [each.score for each in others if abs(each.orientation) > rules.least_orientation]
+    return SearchResult(chosen, tuple(others), margin_over(over(np.array(passed), chosen.score)))
 
 
 def _mirrored(candidate: Candidate) -> Candidate:

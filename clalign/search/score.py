@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.rules import SearchRules
-from clalign.search.batch import Batch, SamplePair, distortions, map_distances
+from clalign.search.batch import Batch, SamplePair, different, distortions, map_distances
 
 
 @dataclass(frozen=True)
@@ -36,9 +38,8 @@ class Ranking:
         """Ln of the best different map's score over the chosen one's; infinite without one."""
         if len(self.distinct) < 2:
             return float("inf")
-        # A shape matched with itself has the score 0, and so have all its maps if it is symmetric.
-        chosen, next_best = np.maximum(self.scores[list(self.distinct[:2])], np.finfo(np.float64).tiny)
-        return float(np.log(next_best / chosen))
+        chosen, next_best = self.distinct[:2]
+        return float(np.log(over(self.scores[next_best], self.scores[chosen])))
 
 
 def descriptor_differences(
@@ -80,6 +81,20 @@ def map_scores(pair: SamplePair, batch: Batch, points: int) -> NDArray[np.float6
     )
 
 
+def over(scores: Any, chosen: float) -> Any:
+    """Return scores over that of the chosen map.
+
+    A shape matched with itself has the score 0, and so have all its maps if it is symmetric: 0 over 0 is 1 here.
+    """
+    smallest = np.finfo(np.float64).tiny
+    return np.maximum(scores, smallest) / max(float(chosen), smallest)
+
+
+def margin_over(ratios: NDArray[np.float64]) -> float:
+    """Return ln of the smallest ratio of a rival to the chosen map, at least 0; infinite without rivals."""
+    return float(np.log(np.maximum(ratios, 1.0)).min(initial=math.inf))
+
+
 def facing(orientation: NDArray[np.float64], sign: float) -> NDArray[np.float64]:
     """Return orientations as the wanted one counts them: kept for the sign 1, reversed for -1, either for 0."""
     return np.abs(orientation) if sign == 0 else sign * orientation
@@ -95,8 +110,5 @@ def ranked(pair: SamplePair, batch: Batch, points: int, rules: SearchRules) -> R
     passed = orientation > rules.least_orientation
     # Where none passes, the best of those that failed has the others that failed to beat.
     eligible = passed if passed.any() else ~passed
-    distinct = [0]
-    for candidate in range(1, batch.count):
-        if eligible[candidate] and np.all(between[distinct, candidate] > rules.distinct):
-            distinct.append(candidate)
+    distinct = different(between, np.flatnonzero(eligible), rules.distinct)
     return Ranking(batch, scores, orientation, tuple(distinct), tuple(float(between[0, each]) for each in distinct))
