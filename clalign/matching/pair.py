@@ -39,8 +39,8 @@ def match(
 
     Parameters
     ----------
-    source, target : a path, a ``trimesh.Trimesh``, a pair ``(vertices, faces)``, or a loaded `Mesh` (which
-        `load_mesh` makes of one of several pieces in a file).
+    source, target : a path, a ``trimesh.Trimesh``, a pair ``(vertices, faces)``, points (n, 3), or a loaded `Mesh`
+        (which `load_mesh` makes of one of several pieces in a file).
     options : see `Options`; the default preset if None.
     start : a map to start from, or how the shapes lie in space, instead of a search; see
         `clalign.matching.start.starting_map`.
@@ -73,10 +73,8 @@ def match(
     chosen, cache = given_options(options), given_cache(cache)
     clock = Clock(progress)
     with clock.stage("read"):
-        meshes = (
-            as_mesh(source, "source", strict=chosen.surface.strict),
-            as_mesh(target, "target", strict=chosen.surface.strict),
-        )
+        strict = chosen.surface.strict
+        meshes = as_mesh(source, "source", strict=strict), as_mesh(target, "target", strict=strict)
         first = None if start is None else starting_map(start, *meshes)
         known = None if landmarks is None else landmarks_of(landmarks, *meshes, landmark_tolerance)
     with clock.stage("device"):
