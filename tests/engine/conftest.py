@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from clalign.engine.band import Band
 from clalign.engine.device import Device, DeviceArray
+from clalign.engine.device_class import ClassName
 from clalign.engine.kernels import Kernels
 from clalign.engine.reference import Reference
 
@@ -19,11 +21,20 @@ FLOOR = {"float32": 1e-6, "float64": 2e-15}
 Check = Callable[..., Any]
 
 
-@pytest.fixture(scope="session")
-def double_kernels(kernels: Kernels) -> Kernels:
-    if not kernels.device.facts.double:
-        pytest.skip(f"{kernels.device.facts.label} has no double precision")
-    return Kernels(Device(precision="double"))
+@functools.cache
+def backend_of(kind: ClassName, precision: str) -> Kernels:
+    """The kernels of a class, on whatever device the tests run on."""
+    device = Device(kind=kind)
+    if precision == "double":
+        if not device.facts.double:
+            pytest.skip(f"{device.facts.label} has no double precision")
+        device = Device(precision="double", kind=kind)
+    return Kernels(device)
+
+
+@pytest.fixture(params=["cpu", "gpu"])
+def kernels(opencl: None, request: pytest.FixtureRequest) -> Kernels:
+    return backend_of(request.param, "single")
 
 
 @pytest.fixture
@@ -84,9 +95,8 @@ def check_against_twin(
     return results
 
 
-@pytest.fixture(params=["float32", "float64"])
-def check(request: pytest.FixtureRequest) -> Check:
-    """`check_against_twin` on the device in single and in double precision."""
-    fixture = "kernels" if request.param == "float32" else "double_kernels"
-    backend = request.getfixturevalue(fixture)
+@pytest.fixture(params=["cpu, single", "cpu, double", "gpu, single", "gpu, double"])
+def check(opencl: None, request: pytest.FixtureRequest) -> Check:
+    """`check_against_twin` on the device, with the kernels of either class in either precision."""
+    backend = backend_of(*request.param.split(", "))
     return lambda name, *arguments, **options: check_against_twin(backend, name, *arguments, **options)

@@ -7,7 +7,7 @@ import pytest
 
 from clalign.engine.band import Band
 from clalign.engine.kernels import Kernels
-from clalign.engine.kernels_products import panel_ranges, row_ranges
+from clalign.engine.launching import panel_ranges, row_ranges
 from clalign.engine.reference import Reference
 from clalign.errors import InputError
 
