@@ -30,7 +30,7 @@ KERNEL void factorise(const int k, const real ridge, __global const real *restri
         for (int first = block; first < k; first += WG) {
             const int row = first + item, inside = row < k;
             real rest[EDGE];
-            #pragma unroll
+            #pragma unroll WHOLE
             for (int j = 0; j < EDGE; ++j)
                 rest[j] = inside && j < width ? gram[(size_t)row * k + block + j] + (row == block + j ? shift : ZERO) : ZERO;
             for (int t = 0; t < block; t += EDGE) {
@@ -40,13 +40,13 @@ KERNEL void factorise(const int k, const real ridge, __global const real *restri
                 if (inside)
                     for (int step = 0; step < EDGE; ++step) {
                         const real own = factor[(size_t)(t + step) * k + row];
-                        #pragma unroll
+                        #pragma unroll WHOLE
                         for (int j = 0; j < EDGE; ++j) rest[j] -= own * done[step * EDGE + j];
                     }
             }
             if (first == block) {
                 if (item < EDGE) {
-                    #pragma unroll
+                    #pragma unroll WHOLE
                     for (int j = 0; j < EDGE; ++j) diagonal[item * BLOCK_ROW + j] = rest[j];
                 }
                 barrier(CLK_LOCAL_MEM_FENCE);
@@ -64,13 +64,13 @@ KERNEL void factorise(const int k, const real ridge, __global const real *restri
             }
             if (inside) {
                 const int on_diagonal = row < block + EDGE;
-                #pragma unroll
+                #pragma unroll WHOLE
                 for (int j = 0; j < EDGE; ++j) {
                     if (on_diagonal)
                         rest[j] = diagonal[(row - block) * BLOCK_ROW + j];
                     else {
                         rest[j] /= diagonal[j * BLOCK_ROW + j];
-                        #pragma unroll
+                        #pragma unroll WHOLE
                         for (int t = 0; t < EDGE; ++t)
                             if (t > j) rest[t] -= rest[j] * diagonal[t * BLOCK_ROW + j];
                     }
@@ -100,7 +100,11 @@ KERNEL void solve_rows(const int m, const int k, __global const real *restrict f
         if (inside) {
             rest = backward ? x[block + j] : rhs[block + j];
             const int last = backward ? k : block;
-            for (int t = backward ? block + width : 0; t < last; ++t) rest -= x[t] * factor[(size_t)t * k + block + j];
+            for (int first = backward ? block + width : 0; first < last; first += EDGE) {
+                real part = ZERO;
+                for (int t = first; t < min(first + EDGE, last); ++t) part += x[t] * factor[(size_t)t * k + block + j];
+                rest -= part;
+            }
         }
         if (i < width && j < width) diagonal[i * BLOCK_ROW + j] = factor[(size_t)(block + i) * k + block + j];
         barrier(CLK_LOCAL_MEM_FENCE);

@@ -1,6 +1,7 @@
 /* Kernels that touch every element once, for the class of GPUs: neighbouring items, neighbouring elements.
  *
- * All but two launch an item for every element of the result; arguments and layouts are those of elementwise.cl.
+ * add, scale_rows, gather_rows, reciprocal, band_expand, band_gather: an item for every element of the result, or of the square
+ *            matrix; arguments and layouts are those of elementwise.cl
  * row_dots:  launch (n ROW_ITEMS), that many neighbouring items a row
  * transpose: launch (ceil(columns / TB) WG, ceil(rows / TB)); blocks of TB x TB elements through local memory, WG / TB rows of
  *            them at once; TB divides WG

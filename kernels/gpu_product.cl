@@ -33,9 +33,11 @@ KERNEL void product(const int m, const int n, const int depth, const int split_d
 {
     TILE_LOCAL
     const int row_tile = get_group_id(0), column_tile = get_group_id(1), split = get_group_id(2);
-    const int row = row_tile * TM, column = column_tile * TN, rows = m - row, columns = n - column;
-    if (symmetric && column + TN <= row) return;
-    if (kept && (kept[2 * column_tile + 1] <= row || kept[2 * column_tile] >= row + TM)) return;
+    const int row = row_tile * TM, column = column_tile * TN, columns = n - column;
+    /* A tile that nobody reads has no rows and no depth: items must not leave before the others of their group. */
+    const int wanted = !(symmetric && column + TN <= row) &&
+                       !(kept && (kept[2 * column_tile + 1] <= row || kept[2 * column_tile] >= row + TM));
+    const int rows = wanted ? m - row : 0;
     int first = split * split_depth, last = min(depth, first + split_depth);
     if (left_depths) {
         first = max(first, left_depths[2 * row_tile]);
@@ -45,7 +47,7 @@ KERNEL void product(const int m, const int n, const int depth, const int split_d
         first = max(first, right_depths[2 * column_tile]);
         last = min(last, right_depths[2 * column_tile + 1]);
     }
-    const int depth_here = max(last - first, 0), a_along = a_step == 1, b_along = b_column != 1;
+    const int depth_here = wanted ? max(last - first, 0) : 0, a_along = a_step == 1, b_along = b_column != 1;
     a += (size_t)row * a_row + (size_t)first * a_step;
     b += (size_t)first * b_step + (size_t)column * b_column;
     if (weight) weight += first;
@@ -54,7 +56,7 @@ KERNEL void product(const int m, const int n, const int depth, const int split_d
     clear(tile);
     clear(total);
     TILE_SUM_OF_PARTS(total, tile, depth_here, a_along, b_along)
-    #pragma unroll
+    #pragma unroll WHOLE
     for (int e = 0; e < RM * RN; ++e) total[e] *= scale;
     store_tile(total, rows, columns, n, accumulate, c);
 }

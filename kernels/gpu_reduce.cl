@@ -67,7 +67,7 @@ KERNEL void alignment_values(const int d, __global const real *restrict partial,
 {
     __local real space[WG];
     const real with_slope = strided_sum(d, partial, 1, space) / 2, with_other = strided_sum(d, partial + d, 1, space);
-    const real trace = g_y ? strided_sum(d, g_y, d + 1, space) : ZERO;
+    const real trace = strided_sum(g_y ? d : 0, g_y, d + 1, space);
     if (get_local_id(0) > 0) return;
     numerator[0] = g_y ? with_slope - with_other + trace : with_slope;
     denominator[0] = g_y ? trace : with_other / 2;

@@ -66,6 +66,7 @@ class GpuClass:
     soft_map, gradient, best, streamed : tiles of the kernels of these names.
     unroll : steps of a panel that are multiplied in a row.
     streamed_unroll : the same where two chained tiles leave fewer registers.
+    whole : longest loop over private values that is unrolled, so that they stay in registers.
     groups_per_unit : work-groups that a unit should have; a sum is split where the tiles of its result are fewer.
     split_depth : least depth of a split.
     work_group : work-items of a work-group.
@@ -79,6 +80,7 @@ class GpuClass:
     streamed: Tile
     unroll: int = 4
     streamed_unroll: int = 2
+    whole: int = 16
     groups_per_unit: int = 2
     split_depth: int = 256
     work_group: int = 256
@@ -86,7 +88,7 @@ class GpuClass:
 
     def definitions(self, item_bytes: int) -> dict[str, int]:
         """``-D`` names and values of every program."""
-        return {"ON_CPU": 0, "WG": self.work_group}
+        return {"ON_CPU": 0, "WG": self.work_group, "WHOLE": self.whole}
 
 
 DeviceClass: TypeAlias = CpuClass | GpuClass
@@ -127,4 +129,4 @@ def device_class(facts: DeviceFacts, item_bytes: int = 4, name: ClassName = "") 
         return CPU_LONG_VECTORS if facts.vector >= CPU_LONG_VECTORS.vector else CPU
     constants = GPU_DOUBLE if item_bytes == 8 else GPU
     # A compiler for CPUs gains nothing from long loop bodies, and takes seconds over them.
-    return replace(constants, unroll=1, streamed_unroll=1) if facts.kind == "cpu" else constants
+    return replace(constants, unroll=1, streamed_unroll=1, whole=1) if facts.kind == "cpu" else constants
