@@ -46,7 +46,7 @@ KERNEL void best(const int m, const int p, const int depth, const int split_tile
     const int begin = split * split_tiles * TN, end = min(begin + split_tiles * TN, p);
     real largest[RM];
     int found[RM];
-    #pragma unroll WHOLE
+    #pragma unroll
     for (int i = 0; i < RM; ++i) {
         largest[i] = -INFINITY;
         found[i] = begin;
@@ -57,12 +57,12 @@ KERNEL void best(const int m, const int p, const int depth, const int split_tile
         real tile[RM * RN];
         clear(tile);
         TILE_SUM(tile, depth, 1, 1)
-        #pragma unroll WHOLE
+        #pragma unroll
         for (int j = 0; j < RN; ++j) {
             const int point = first_point + TILE_COLUMN(j);
             if (point < end) {
                 const real level = bias ? bias[point] : ZERO;
-                #pragma unroll WHOLE
+                #pragma unroll
                 for (int i = 0; i < RM; ++i) {
                     const real fresh = SCORE(tile[i * RN + j], level);
                     const int better = fresh > largest[i];
@@ -72,7 +72,7 @@ KERNEL void best(const int m, const int p, const int depth, const int split_tile
             }
         }
     }
-    #pragma unroll WHOLE
+    #pragma unroll
     for (int i = 0; i < RM; ++i) {
         scores[TILE_ROW(i) * SIDE + item % SIDE] = largest[i];
         indices[TILE_ROW(i) * SIDE + item % SIDE] = found[i];

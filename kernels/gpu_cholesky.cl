@@ -30,7 +30,7 @@ KERNEL void factorise(const int k, const real ridge, __global const real *restri
         for (int first = block; first < k; first += WG) {
             const int row = first + item, inside = row < k;
             real rest[EDGE];
-            #pragma unroll WHOLE
+            #pragma unroll
             for (int j = 0; j < EDGE; ++j)
                 rest[j] = inside && j < width ? gram[(size_t)row * k + block + j] + (row == block + j ? shift : ZERO) : ZERO;
             for (int t = 0; t < block; t += EDGE) {
@@ -40,13 +40,13 @@ KERNEL void factorise(const int k, const real ridge, __global const real *restri
                 if (inside)
                     for (int step = 0; step < EDGE; ++step) {
                         const real own = factor[(size_t)(t + step) * k + row];
-                        #pragma unroll WHOLE
+                        #pragma unroll
                         for (int j = 0; j < EDGE; ++j) rest[j] -= own * done[step * EDGE + j];
                     }
             }
             if (first == block) {
                 if (item < EDGE) {
-                    #pragma unroll WHOLE
+                    #pragma unroll
                     for (int j = 0; j < EDGE; ++j) diagonal[item * BLOCK_ROW + j] = rest[j];
                 }
                 barrier(CLK_LOCAL_MEM_FENCE);
@@ -64,13 +64,13 @@ KERNEL void factorise(const int k, const real ridge, __global const real *restri
             }
             if (inside) {
                 const int on_diagonal = row < block + EDGE;
-                #pragma unroll WHOLE
+                #pragma unroll
                 for (int j = 0; j < EDGE; ++j) {
                     if (on_diagonal)
                         rest[j] = diagonal[(row - block) * BLOCK_ROW + j];
                     else {
                         rest[j] /= diagonal[j * BLOCK_ROW + j];
-                        #pragma unroll WHOLE
+                        #pragma unroll
                         for (int t = 0; t < EDGE; ++t)
                             if (t > j) rest[t] -= rest[j] * diagonal[t * BLOCK_ROW + j];
                     }

@@ -56,7 +56,7 @@ KERNEL void product(const int m, const int n, const int depth, const int split_d
     clear(tile);
     clear(total);
     TILE_SUM_OF_PARTS(total, tile, depth_here, a_along, b_along)
-    #pragma unroll WHOLE
+    #pragma unroll
     for (int e = 0; e < RM * RN; ++e) total[e] *= scale;
     store_tile(total, rows, columns, n, accumulate, c);
 }

@@ -80,11 +80,11 @@ KERNEL void moments(const int n, const int k, const int r, const int split_rows,
     clear(tile);
     clear(total);
     TILE_SUM_OF_PARTS(total, tile, depth, 0, 0)
-    #pragma unroll WHOLE
+    #pragma unroll
     for (int i = 0; i < RM; ++i) {
         const int pair = min(TILE_ROW(i), rows - 1);
         const real factor = pairs[2 * pair] == pairs[2 * pair + 1] ? ONE : ONE + ONE;
-        #pragma unroll WHOLE
+        #pragma unroll
         for (int j = 0; j < RN; ++j) total[i * RN + j] *= factor;
     }
     store_tile(total, rows, columns, r, 0, sums + ((size_t)split * count + row) * r + column);

@@ -49,11 +49,11 @@ KERNEL void soft_map_gradient(const int n, const int k, const int r, const int c
         real tile[RM * RN];
         clear(tile);
         TILE_SUM(tile, r, 1, 1)
-        #pragma unroll WHOLE
+        #pragma unroll
         for (int part = 0; part < RM / 4; ++part) {
-            #pragma unroll WHOLE
+            #pragma unroll
             for (int i = 0; i < 4; ++i)
-                #pragma unroll WHOLE
+                #pragma unroll
                 for (int j = 0; j < RN; ++j)
                     g[TILE_ROW(i) * G_ROW + TILE_COLUMN(j)] = tile[(4 * part + i) * RN + j];
             barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);

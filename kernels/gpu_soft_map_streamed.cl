@@ -62,11 +62,11 @@ KERNEL void soft_map_streamed(const int n, const int n_y, const int k, const int
         __global const real *right_from = psi + (size_t)vertex * k;
         clear(tile);
         TILE_SUM(tile, k, 1, 1)
-        #pragma unroll WHOLE
+        #pragma unroll
         for (int j = 0; j < RN; ++j) {
             const int at = TILE_COLUMN(j);
             const real weight = at < vertices ? w[vertex + at] : ZERO;
-            #pragma unroll WHOLE
+            #pragma unroll
             for (int i = 0; i < RM; ++i) {
                 const real share = weight * tile[i * RN + j] * tile[i * RN + j];
                 row_sums[i] += share;
@@ -74,11 +74,11 @@ KERNEL void soft_map_streamed(const int n, const int n_y, const int k, const int
             }
         }
         SECOND_PRODUCT(u + (size_t)vertex * r + column, r, columns)
-        #pragma unroll WHOLE
+        #pragma unroll
         for (int e = 0; e < RM * RN; ++e) total[e] += tile[e];
     }
     store_tile(total, rows, columns, r, 0, sums + ((size_t)split * n + row) * r + column);
-    #pragma unroll WHOLE
+    #pragma unroll
     for (int i = 0; i < RM; ++i) left[TILE_ROW(i) * SIDE + item % SIDE] = row_sums[i];
     barrier(CLK_LOCAL_MEM_FENCE);
     if (column == 0 && item < min(TM, rows)) {
@@ -110,10 +110,10 @@ KERNEL void soft_map_streamed_gradient(const int n, const int n_y, const int k, 
         right_from = psi + (size_t)vertex * k;
         clear(tile);
         TILE_SUM(tile, length, 1, 1)
-        #pragma unroll WHOLE
+        #pragma unroll
         for (int i = 0; i < RM; ++i) {
             const real level = TILE_ROW(i) < rows ? removed[row + TILE_ROW(i)] : ZERO;
-            #pragma unroll WHOLE
+            #pragma unroll
             for (int j = 0; j < RN; ++j) {
                 const int at = TILE_COLUMN(j);
                 const real weight = at < vertices ? w[vertex + at] : ZERO;

@@ -69,7 +69,7 @@ typedef float4 real4;
 
 INLINE void load_fours(real *to, const int blocks, __local const real *from)
 {
-    #pragma unroll WHOLE
+    #pragma unroll
     for (int q = 0; q < blocks; ++q) {
         const real4 four = *(__local const real4 *)(from + q * 4 * SIDE);
         to[4 * q] = four.x;
@@ -90,23 +90,23 @@ INLINE void multiply(real *tile, const int count, __local const real *left, __lo
         real x[RM], y[RN];
         load_fours(x, RM / 4, left + t * (TM + PAD));
         load_fours(y, RN / 4, right + t * (TN + PAD));
-        #pragma unroll WHOLE
+        #pragma unroll
         for (int i = 0; i < RM; ++i)
-            #pragma unroll WHOLE
+            #pragma unroll
             for (int j = 0; j < RN; ++j) tile[i * RN + j] += x[i] * y[j];
     }
 }
 
 INLINE void clear(real *tile)
 {
-    #pragma unroll WHOLE
+    #pragma unroll
     for (int e = 0; e < RM * RN; ++e) tile[e] = ZERO;
 }
 
 /* total += tile, which is cleared for the next part of the sum. */
 INLINE void add_part(real *total, real *tile)
 {
-    #pragma unroll WHOLE
+    #pragma unroll
     for (int e = 0; e < RM * RN; ++e) {
         total[e] += tile[e];
         tile[e] = ZERO;
@@ -118,11 +118,11 @@ INLINE void store_tile(const real *tile, const int rows, const int columns, cons
                        __global real *to)
 {
     const int item = get_local_id(0);
-    #pragma unroll WHOLE
+    #pragma unroll
     for (int i = 0; i < RM; ++i)
         if (TILE_ROW(i) < rows) {
             __global real *line = to + (size_t)TILE_ROW(i) * stride;
-            #pragma unroll WHOLE
+            #pragma unroll
             for (int j = 0; j < RN; ++j)
                 if (TILE_COLUMN(j) < columns)
                     line[TILE_COLUMN(j)] = accumulate ? line[TILE_COLUMN(j)] + tile[i * RN + j] : tile[i * RN + j];

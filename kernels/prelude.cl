@@ -56,9 +56,6 @@ typedef realv unaligned __attribute__((aligned(REAL_BYTES)));
 
 #define LOAD(space, address) (*(space const unaligned *)(address))
 #define STORE(space, address, value) (*(space unaligned *)(address) = (value))
-#ifndef WHOLE
-#define WHOLE 16 /* longest loop over private values that is unrolled, so that they stay in the registers of a GPU */
-#endif
 #define KERNEL __kernel __attribute__((reqd_work_group_size(WG, 1, 1)))
 #define KERNEL_OF(items) __kernel __attribute__((reqd_work_group_size(items, 1, 1)))
 /* A function that is part of every kernel that calls it: one of its own would be compiled for shorter vectors. */

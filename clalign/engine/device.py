@@ -244,7 +244,7 @@ class Device:
 
     def _build(self, program: str, defines: Mapping[str, str | int]) -> dict[str, Any]:
         common = {"PRECISION": 8 * self.dtype.itemsize, **self.constants.definitions(self.dtype.itemsize)}
-        source = kernel_source(program, {**common, **defines})
+        source = kernel_source(program, {**common, **defines}, self.constants.options)
         require_own_process()
         start = time.perf_counter()
         try:

@@ -27,6 +27,7 @@ class CpuClass:
     soft_map_features : products of two functions that such an item makes at once, in private memory.
     nearest_groups : row groups of one work-item of the nearest points, and their number where rows are very many.
     work_group : work-items of a work-group.
+    options : of the compiler, beside those of all programs.
     """
 
     vector: int
@@ -38,6 +39,7 @@ class CpuClass:
     nearest_groups: tuple[int, int] = (8, 32)
     # PoCL runs a work-group in one thread, one item after the other: a single one may own as much.
     work_group: int = 1
+    options: tuple[str, ...] = ()
     name: str = "cpu"
 
     def definitions(self, item_bytes: int) -> dict[str, int]:
@@ -66,10 +68,10 @@ class GpuClass:
     soft_map, gradient, best, streamed : tiles of the kernels of these names.
     unroll : steps of a panel that are multiplied in a row.
     streamed_unroll : the same where two chained tiles leave fewer registers.
-    whole : longest loop over private values that is unrolled, so that they stay in registers.
     groups_per_unit : work-groups that a unit should have; a sum is split where the tiles of its result are fewer.
     split_depth : least depth of a split.
     work_group : work-items of a work-group.
+    options : of the compiler, beside those of all programs.
     """
 
     large: Tile
@@ -80,15 +82,15 @@ class GpuClass:
     streamed: Tile
     unroll: int = 4
     streamed_unroll: int = 2
-    whole: int = 16
     groups_per_unit: int = 2
     split_depth: int = 256
     work_group: int = 256
+    options: tuple[str, ...] = ()
     name: str = "gpu"
 
     def definitions(self, item_bytes: int) -> dict[str, int]:
         """``-D`` names and values of every program."""
-        return {"ON_CPU": 0, "WG": self.work_group, "WHOLE": self.whole}
+        return {"ON_CPU": 0, "WG": self.work_group}
 
 
 DeviceClass: TypeAlias = CpuClass | GpuClass
@@ -128,5 +130,5 @@ def device_class(facts: DeviceFacts, item_bytes: int = 4, name: ClassName = "") 
     if (name or class_name(facts)) == "cpu":
         return CPU_LONG_VECTORS if facts.vector >= CPU_LONG_VECTORS.vector else CPU
     constants = GPU_DOUBLE if item_bytes == 8 else GPU
-    # A compiler for CPUs gains nothing from long loop bodies, and takes seconds over them.
-    return replace(constants, unroll=1, streamed_unroll=1, whole=1) if facts.kind == "cpu" else constants
+    # Only to check them: compilers for CPUs take minutes over loop bodies written for hundreds of registers.
+    return replace(constants, options=("-cl-opt-disable",)) if facts.kind == "cpu" else constants

@@ -109,6 +109,6 @@ class GpuArrays(Launcher):
         return self.device.kernel(program, function, **tile.definitions, UNROLL=steps)
 
     def _splits(self, tiles: int, length: int, least: int) -> int:
-        """Into how many parts, of `least` or more, a sum is cut so that the tiles of its result keep the device busy."""
+        """Into how many parts, of `least` or more, a sum is cut so that its tiles keep the device busy."""
         wanted = self.constants.groups_per_unit * self.device.facts.units
         return max(1, min(ceil_div(wanted, tiles), length // least))

@@ -100,6 +100,7 @@ def reach(kernels: Kernels) -> int:
     return 40 if kernels.device.constants.name == "cpu" else 128 + 64 + 3
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 def test_a_narrow_band_reads_only_its_tiles(kernels: Kernels):
     """NaN far from the band must not reach the product: those tiles are skipped, not multiplied by zero."""
     size = 320
@@ -113,6 +114,7 @@ def test_a_narrow_band_reads_only_its_tiles(kernels: Kernels):
     np.testing.assert_array_equal(left, matrix)
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 def test_what_is_not_kept_is_not_computed(kernels: Kernels, rng):
     """Tiles far from the band keep what was there."""
     size = 320

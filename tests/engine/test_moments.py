@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clalign.engine.device_class import CPU, CPU_LONG_VECTORS
 from clalign.engine.cpu_soft_maps import fitted_tile_rows
+from clalign.engine.device_class import CPU, CPU_LONG_VECTORS
 from clalign.engine.gpu_soft_maps import pair_blocks
 from clalign.engine.launching import pair_runs
 from clalign.engine.reference import Reference, pair_count, pair_factor

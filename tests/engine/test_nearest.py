@@ -54,6 +54,7 @@ def test_finds_every_point_itself(kernels: Kernels, rng):
     np.testing.assert_allclose(kernels.numpy(score), penalty[order], rtol=1e-4)
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 @pytest.mark.parametrize("operation", ["nearest", "soft_map_argmax"])
 def test_ties_go_to_the_lowest_index(kernels: Kernels, rng, operation):
     points = np.repeat(rng.normal(size=(1, 8)), 100, axis=0)
@@ -63,6 +64,7 @@ def test_ties_go_to_the_lowest_index(kernels: Kernels, rng, operation):
     np.testing.assert_array_equal(index, 37)
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 @pytest.mark.parametrize("count", [5, 33])
 @pytest.mark.parametrize("operation", ["nearest", "soft_map_argmax"])
 def test_all_scores_zero_gives_the_first_point(kernels: Kernels, operation, count):
@@ -71,6 +73,7 @@ def test_all_scores_zero_gives_the_first_point(kernels: Kernels, operation, coun
     np.testing.assert_array_equal(score, 0)
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 def test_negative_scores_still_name_a_point(kernels: Kernels, rng):
     """Padding beyond the last point must never win, however bad the true scores are."""
     points = rng.normal(size=(5, 3))
