@@ -12,7 +12,6 @@
  * soft_map_streamed_gradient: dz (n, r); removed (n); sums (splits, n, k)
  * numpy twins: clalign.engine.reference.Reference.soft_map_streamed, soft_map_streamed_gradient
  */
-#define LEFT_STEPS TN
 #include "gpu_tile.cl"
 
 #if TM != 64 || TN != 64
@@ -30,7 +29,13 @@
         values[q] = j < vertices && t < length ? right_from[j * length + t] : ZERO;           \
     }
 
-/* tile = weighted q (in `left`) times the rows of `from` (vertices, width), of which `columns` count. */
+/* The weighted tile of q, in local memory as a panel of TN steps. */
+#define WEIGHTED_LOCAL                                          \
+    __local real4 weighted_panel[TN * (TM + PAD) / 4];          \
+    __local real *const weighted = (__local real *)weighted_panel;
+#define WEIGHTED(i, j) weighted[TILE_COLUMN(j) * (TM + PAD) + TILE_ROW(i)]
+
+/* tile = `weighted` times the rows of `from` (vertices, width), of which `columns` count. */
 #define SECOND_PRODUCT(from, width, columns)                                                            \
     clear(tile);                                                                                        \
     for (int first = 0; first < TN; first += KT) {                                                      \
@@ -40,7 +45,7 @@
             panel[step * (TN + PAD) + j] = j < (columns) && t < vertices ? (from)[t * (width) + j] : ZERO; \
         }                                                                                               \
         barrier(CLK_LOCAL_MEM_FENCE);                                                                   \
-        multiply(tile, KT, left + first * (TM + PAD), panel);                                           \
+        multiply(tile, KT, weighted + first * (TM + PAD), panel);                                       \
     }                                                                                                   \
     barrier(CLK_LOCAL_MEM_FENCE);
 
@@ -50,6 +55,7 @@ KERNEL void soft_map_streamed(const int n, const int n_y, const int k, const int
                               __global real *restrict weights)
 {
     TILE_LOCAL
+    WEIGHTED_LOCAL
     const int row = get_group_id(0) * TM, column = get_group_id(1) * TN, split = get_group_id(2);
     const int rows = n - row, columns = r - column, length = k;
     __global const real *left_from = c + (size_t)row * k;
@@ -70,7 +76,7 @@ KERNEL void soft_map_streamed(const int n, const int n_y, const int k, const int
             for (int i = 0; i < RM; ++i) {
                 const real share = weight * tile[i * RN + j] * tile[i * RN + j];
                 row_sums[i] += share;
-                left[at * (TM + PAD) + TILE_ROW(i)] = share;
+                WEIGHTED(i, j) = share;
             }
         }
         SECOND_PRODUCT(u + (size_t)vertex * r + column, r, columns)
@@ -79,11 +85,11 @@ KERNEL void soft_map_streamed(const int n, const int n_y, const int k, const int
     }
     store_tile(total, rows, columns, r, 0, sums + ((size_t)split * n + row) * r + column);
     #pragma unroll
-    for (int i = 0; i < RM; ++i) left[TILE_ROW(i) * SIDE + item % SIDE] = row_sums[i];
+    for (int i = 0; i < RM; ++i) weighted[TILE_ROW(i) * SIDE + item % SIDE] = row_sums[i];
     barrier(CLK_LOCAL_MEM_FENCE);
     if (column == 0 && item < min(TM, rows)) {
         real sum = ZERO;
-        for (int e = 0; e < SIDE; ++e) sum += left[item * SIDE + e];
+        for (int e = 0; e < SIDE; ++e) sum += weighted[item * SIDE + e];
         weights[(size_t)split * n + row + item] = sum;
     }
 }
@@ -95,19 +101,15 @@ KERNEL void soft_map_streamed_gradient(const int n, const int n_y, const int k, 
                                        __global real *restrict sums)
 {
     TILE_LOCAL
+    WEIGHTED_LOCAL
     const int row = get_group_id(0) * TM, split = get_group_id(2), rows = n - row;
     sums += ((size_t)split * n + row) * k;
-    real tile[RM * RN], slope[RM * RN];
+    real tile[RM * RN];
     const int begin = split * split_tiles * TN, last = min(begin + split_tiles * TN, n_y);
     for (int vertex = begin; vertex < last; vertex += TN) {
         const int vertices = n_y - vertex;
         int length = r;
         __global const real *left_from = dz + (size_t)row * r, *right_from = u + (size_t)vertex * r;
-        clear(slope);
-        TILE_SUM(slope, length, 1, 1)
-        length = k;
-        left_from = c + (size_t)row * k;
-        right_from = psi + (size_t)vertex * k;
         clear(tile);
         TILE_SUM(tile, length, 1, 1)
         #pragma unroll
@@ -115,11 +117,19 @@ KERNEL void soft_map_streamed_gradient(const int n, const int n_y, const int k, 
             const real level = TILE_ROW(i) < rows ? removed[row + TILE_ROW(i)] : ZERO;
             #pragma unroll
             for (int j = 0; j < RN; ++j) {
-                const int at = TILE_COLUMN(j);
-                const real weight = at < vertices ? w[vertex + at] : ZERO;
-                left[at * (TM + PAD) + TILE_ROW(i)] = weight * tile[i * RN + j] * (slope[i * RN + j] - level);
+                const real weight = TILE_COLUMN(j) < vertices ? w[vertex + TILE_COLUMN(j)] : ZERO;
+                WEIGHTED(i, j) = weight * (tile[i * RN + j] - level);
             }
         }
+        length = k;
+        left_from = c + (size_t)row * k;
+        right_from = psi + (size_t)vertex * k;
+        clear(tile);
+        TILE_SUM(tile, length, 1, 1)
+        #pragma unroll
+        for (int i = 0; i < RM; ++i)
+            #pragma unroll
+            for (int j = 0; j < RN; ++j) WEIGHTED(i, j) *= tile[i * RN + j];
         for (int column = 0; column < k; column += TN) {
             SECOND_PRODUCT(right_from + column, k, k - column)
             store_tile(tile, rows, k - column, k, vertex > begin, sums + column);

@@ -40,9 +40,6 @@
 #define RIGHTS (TN * KT / WG)
 #define LEFT_PANEL (KT * (TM + PAD))
 #define RIGHT_PANEL (KT * (TN + PAD))
-#ifndef LEFT_STEPS
-#define LEFT_STEPS (2 * KT) /* steps that the local memory of the left side holds: two panels */
-#endif
 
 #if PRECISION == 64
 typedef double4 real4;
@@ -51,8 +48,8 @@ typedef float4 real4;
 #endif
 
 #define TILE_LOCAL                                   \
-    __local real4 left_panels[LEFT_STEPS * (TM + PAD) / 4];   \
-    __local real4 right_panels[2 * RIGHT_PANEL / 4];          \
+    __local real4 left_panels[2 * LEFT_PANEL / 4];   \
+    __local real4 right_panels[2 * RIGHT_PANEL / 4]; \
     __local real *const left = (__local real *)left_panels, *const right = (__local real *)right_panels; \
     const int item = get_local_id(0);
 

@@ -88,4 +88,4 @@ class CpuSearches(CpuProducts):
         return most if ceil_div(rows, self._tile) >= most * MANY_ROWS * self.device.facts.units else usual
 
     def _candidate_defines(self, kind: DistortionKind) -> dict[str, str | int]:
-        return {"DB": DISTORTION_ROWS, **distortion_definitions(kind, self.device.dtype)}
+        return {"DB": DISTORTION_ROWS, **distortion_definitions(kind, self.device.dtype.itemsize)}

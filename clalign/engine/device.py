@@ -110,7 +110,7 @@ class Device:
     specification : which device, see `device_choice`; empty looks at ``CLALIGN_DEVICE`` and then picks one.
     precision : "single" or "double".
     memory : bytes that may be allocated at most; 0 leaves it to the device.
-    kind : class of the kernels, "cpu" or "gpu", or their constants; empty takes what suits the device.
+    kind : class of the kernels, or its constants.
 
     Raises
     ------
@@ -123,7 +123,7 @@ class Device:
         specification: str = "",
         precision: str = "single",
         memory: int = 0,
-        kind: ClassName | DeviceClass = "",
+        kind: ClassName | DeviceClass = "auto",
     ) -> None:
         self.facts = choose_device(wanted_device(specification), list_devices())
         require_precision(self.facts, precision)

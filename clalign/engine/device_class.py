@@ -11,8 +11,8 @@ from typing import Literal, NamedTuple, TypeAlias
 
 from clalign.engine.device_choice import DeviceFacts
 
-ClassName: TypeAlias = Literal["", "cpu", "gpu"]
-"""Name of a class; empty leaves it to the facts of the device."""
+ClassName: TypeAlias = Literal["auto", "cpu", "gpu"]
+"""Name of a class; "auto" leaves it to the facts of the device."""
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,9 @@ def class_name(facts: DeviceFacts) -> Literal["cpu", "gpu"]:
     return "gpu" if shaped and large_enough else "cpu"
 
 
-def device_class(facts: DeviceFacts, item_bytes: int = 4, name: ClassName = "") -> DeviceClass:
-    """Return the constants for a device and reals of that many bytes, of the class of that name if one is given."""
-    if (name or class_name(facts)) == "cpu":
+def device_class(facts: DeviceFacts, item_bytes: int = 4, name: ClassName = "auto") -> DeviceClass:
+    """Return the constants for a device and reals of that many bytes; "auto" takes the class that suits the device."""
+    if (class_name(facts) if name == "auto" else name) == "cpu":
         return CPU_LONG_VECTORS if facts.vector >= CPU_LONG_VECTORS.vector else CPU
     constants = GPU_DOUBLE if item_bytes == 8 else GPU
     # Only to check them: compilers for CPUs take minutes over loop bodies written for hundreds of registers.

@@ -33,13 +33,15 @@ class GpuSearches(GpuProducts):
     ) -> None:
         """Queue the distortion of every map."""
         (m, maps), p = index.shape, dx.shape[0]
-        kernel = self.device.kernel("gpu_candidates", "distortion", **distortion_definitions(kind, self.device.dtype))
+        kernel = self.device.kernel(
+            "gpu_candidates", "distortion", **distortion_definitions(kind, self.device.dtype.itemsize)
+        )
         self._launch_groups(kernel, (1, maps), m, p, maps, dx, dy, w, index, result)
 
     def map_distance(self, dx: Array, w: Array, index: Array, result: Array) -> None:
         """Queue the distance of every two maps."""
         (m, maps), p = index.shape, dx.shape[0]
-        defines = distortion_definitions("squared", self.device.dtype)
+        defines = distortion_definitions("squared", self.device.dtype.itemsize)
         kernel = self.device.kernel("gpu_candidates", "map_distance", **defines)
         self.device.launch(kernel, (maps, maps), m, maps, p, dx, w, index, result)
 

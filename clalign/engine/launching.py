@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +78,7 @@ def pair_runs(k: int, length: int) -> NDArray[np.int32]:
     return np.array([(a, b) for a in range(k) for b in range(a, k, length)], dtype=np.int32)
 
 
-def distortion_definitions(kind: DistortionKind, dtype: np.dtype[Any]) -> dict[str, str | int]:
-    """``-D`` names and values of ``distortion_error.cl``."""
-    suffix = "f" if dtype.itemsize == 4 else ""
+def distortion_definitions(kind: DistortionKind, item_bytes: int) -> dict[str, str | int]:
+    """``-D`` names and values of ``distortion_error.cl``, for reals of that many bytes."""
+    suffix = "f" if item_bytes == 4 else ""
     return {"RELATIVE": int(kind == "relative"), "FLOOR": f"{RELATIVE_DISTANCE_FLOOR}{suffix}"}
