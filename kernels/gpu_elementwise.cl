@@ -2,11 +2,12 @@
  *
  * add, scale_rows, gather_rows, reciprocal, band_expand, band_gather: an item for every element of the result, or of the square
  *            matrix; arguments and layouts are those of elementwise.cl
+ * quotient:  value[0] = numerator[0] / denominator[0], and gradient (count) from the slopes (count) of both
  * row_dots:  launch (n ROW_ITEMS), that many neighbouring items a row
  * transpose: launch (ceil(columns / TB) WG, ceil(rows / TB)); blocks of TB x TB elements through local memory, WG / TB rows of
  *            them at once; TB divides WG
- * numpy twins: clalign.engine.reference.Reference.add, scale_rows, reciprocal, gather, half_squares, transpose, band_expand,
- * band_gather
+ * numpy twins: clalign.engine.reference.Reference.add, quotient, scale_rows, reciprocal, gather, half_squares, transpose,
+ * band_expand, band_gather
  */
 #include "gpu_sums.cl"
 
@@ -20,6 +21,17 @@ KERNEL void add(const int count, const real scale_a, const real scale_b, __globa
 {
     const int i = get_global_id(0);
     if (i < count) out[i] = scale_a * a[i] + scale_b * b[i];
+}
+
+KERNEL void quotient(const int count, __global const real *restrict numerator, __global const real *restrict denominator,
+                     __global const real *restrict slope, __global const real *restrict denominator_slope,
+                     __global real *restrict value, __global real *restrict gradient)
+{
+    const int i = get_global_id(0);
+    if (i >= count) return;
+    const real scale = ONE / denominator[0], ratio = numerator[0] * scale;
+    if (i == 0) value[0] = ratio;
+    gradient[i] = scale * slope[i] - ratio * scale * denominator_slope[i];
 }
 
 KERNEL void scale_rows(const int n, const int k, __global const real *a, __global const real *restrict w, __global real *out)

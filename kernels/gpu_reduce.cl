@@ -3,6 +3,7 @@
  *     total = sum over i of a[i] b[i], or of a[i] when b is NULL
  *     slope[i, j] += factor * other[i, j]  inside the band of R (d, d);    numerator, denominator as alignment.cl says
  *
+ * whole_dot:        launch (WG), few elements: out[0] = scale * total [+ out[0] when accumulate]
  * partial_dots:     launch (parts WG); part p sums elements p RB .. (p + 1) RB - 1 into partial[p]
  * finish_sum:       launch (WG); out[0] = scale * sum of partial (parts) [+ out[0] when accumulate]
  * band_rows:        launch (d WG), a work-group a row; lower (d), offsets (d + 1) int; r, other, slope (d, d); partial (2, d)
@@ -14,6 +15,7 @@
 #ifndef RB
 #define RB 4096 /* elements of one part */
 #endif
+#define RUN 16 /* elements of an item that are summed in a row */
 
 KERNEL void partial_dots(const int count, __global const real *a, __global const real *b, __global real *restrict partial)
 {
@@ -23,6 +25,21 @@ KERNEL void partial_dots(const int count, __global const real *a, __global const
     for (int i = begin + (int)get_local_id(0); i < end; i += WG) sum += b ? a[i] * b[i] : a[i];
     sum = group_sum(sum, space, WG);
     if (get_local_id(0) == 0) partial[get_group_id(0)] = sum;
+}
+
+KERNEL void whole_dot(const int count, const real scale, const int accumulate, __global const real *a,
+                      __global const real *b, __global real *restrict out)
+{
+    __local real space[WG];
+    real total = ZERO;
+    /* Sums of short runs, which are then added: short chains of additions, small rounding error. */
+    for (int first = 0; first < count; first += RUN * WG) {
+        real sum = ZERO;
+        for (int i = first + (int)get_local_id(0); i < min(first + RUN * WG, count); i += WG) sum += b ? a[i] * b[i] : a[i];
+        total += sum;
+    }
+    total = group_sum(total, space, WG);
+    if (get_local_id(0) == 0) out[0] = accumulate ? out[0] + scale * total : scale * total;
 }
 
 /* Sum of `count` values, all items taking part. */

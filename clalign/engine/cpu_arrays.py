@@ -32,6 +32,15 @@ class CpuArrays(Launcher):
         kernel = self._elementwise("add")
         self.device.launch(kernel, ceil_div(a.size, ELEMENTS), a.size, scale_a, scale_b, a, b, result)
 
+    def quotient(
+        self, numerator: Array, denominator: Array, slope: Array, denominator_slope: Array, gradient: Array
+    ) -> float:
+        """Queue the gradient of a quotient, whose value is waited for: a CPU loses nothing by it."""
+        scale = 1.0 / float(denominator)
+        value = float(numerator) * scale
+        self.add(slope, denominator_slope, scale, -value * scale, gradient)
+        return value
+
     def scale_rows(self, a: Array, w: Array, result: Array) -> None:
         """Queue result = diag(w) a."""
         rows, width = a.shape

@@ -91,7 +91,7 @@ class DeviceArray:
 
     def get(self) -> NDArray[Any]:
         """Download; waits for whatever computes the values."""
-        return self.device.download(self)
+        return self.device.download([self])[0]
 
     def __float__(self) -> float:
         if self.size != 1:
@@ -213,13 +213,15 @@ class Device:
         with self._answering(f"copying {count} bytes"):
             self._cl.enqueue_copy(self._queue, target.buffer, source.buffer, byte_count=count)
 
-    def download(self, array: DeviceArray) -> NDArray[Any]:
-        """Copy values to the host; waits for whatever computes them."""
-        values = np.zeros(array.shape, dtype=array.dtype)
-        if values.size:
-            with self._answering("computing"):
-                self._cl.enqueue_copy(self._queue, values, array.buffer)
-        return values
+    def download(self, arrays: Sequence[DeviceArray]) -> list[NDArray[Any]]:
+        """Copy values to the host; waits once, for whatever computes them."""
+        found = [np.zeros(array.shape, dtype=array.dtype) for array in arrays]
+        with self._answering("computing"):
+            for array, values in zip(arrays, found, strict=True):
+                if values.size:
+                    self._cl.enqueue_copy(self._queue, values, array.buffer, is_blocking=False)
+            self._queue.finish()
+        return found
 
     def finish(self) -> None:
         """Wait until everything launched is done."""

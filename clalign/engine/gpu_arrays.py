@@ -19,6 +19,10 @@ PART = 4096
 """Elements of one part of a sum."""
 
 
+SUMMED_AT_ONCE = 1 << 17
+"""Elements up to which one work-group makes the whole sum: a second launch would take longer."""
+
+
 class GpuArrays(Launcher):
     """Elementwise kernels and sums."""
 
@@ -29,6 +33,15 @@ class GpuArrays(Launcher):
     def add(self, a: Array, b: Array, scale_a: float, scale_b: float, result: Array) -> None:
         """Queue result = scale_a a + scale_b b."""
         self.device.launch(self._elementwise("add"), a.size, a.size, scale_a, scale_b, a, b, result)
+
+    def quotient(
+        self, numerator: Array, denominator: Array, slope: Array, denominator_slope: Array, gradient: Array
+    ) -> Array:
+        """Queue a quotient and its gradient; nothing waits for the device."""
+        value = self.device.allocate((), self.device.dtype)
+        sides = (numerator, denominator, slope, denominator_slope)
+        self.device.launch(self._elementwise("quotient"), slope.size, slope.size, *sides, value, gradient)
+        return value
 
     def scale_rows(self, a: Array, w: Array, result: Array) -> None:
         """Queue result = diag(w) a."""
@@ -62,6 +75,9 @@ class GpuArrays(Launcher):
 
     def dot(self, a: Array, b: Array | None, result: Array, scale: float = 1.0, accumulate: bool = False) -> None:
         """Queue result[0] (+)= scale · Σ a b, or Σ a."""
+        if a.size <= SUMMED_AT_ONCE:
+            self._launch_groups(self._reduce("whole_dot"), (1,), a.size, scale, int(accumulate), a, b, result)
+            return
         parts = ceil_div(a.size, PART)
         partial = self.device.scratch("partial", parts)
         self._launch_groups(self._reduce("partial_dots"), (parts,), a.size, a, b, partial)

@@ -82,6 +82,20 @@ class KernelArrays(Specification):
         return array.get()
 
     @operation
+    def read(self, values: Sequence[Array | float]) -> list[NDArray[Any]]:
+        copies = iter(self.device.download([value for value in values if isinstance(value, DeviceArray)]))
+        return [next(copies) if isinstance(value, DeviceArray) else np.array(value) for value in values]
+
+    @operation
+    def quotient(
+        self, numerator: Array, denominator: Array, slope: Array, denominator_slope: Array
+    ) -> tuple[Array | float, Array]:
+        require_shapes("quotient", denominator_slope=(denominator_slope.shape, slope.shape))
+        require_shapes("quotient", numerator=(numerator.shape, ()), denominator=(denominator.shape, ()))
+        gradient = self._result("quotient", slope.shape, None)
+        return self._launcher.quotient(numerator, denominator, slope, denominator_slope, gradient), gradient
+
+    @operation
     def add(self, a: Array, b: Array, *, scale_a: float = 1.0, scale_b: float = 1.0, out: Array | None = None) -> Array:
         require_shapes("add", b=(b.shape, a.shape))
         result = self._result("add", a.shape, out)
