@@ -17,7 +17,6 @@ class PartSampleRules:
     margin : samples of the part lie at least so far from its boundary, where balls around them are cut off.
     boundary : samples of a boundary, between which distances on the whole may be shorter than on the part.
     functions : Laplace–Beltrami eigenfunctions of the whole.
-    fewest, most : of the part; between them in proportion to its area.
     """
 
     places: int = 800
@@ -25,8 +24,6 @@ class PartSampleRules:
     margin: float = 0.02
     boundary: int = 120
     functions: int = 200
-    fewest: int = 60
-    most: int = 160
 
 
 @dataclass(frozen=True)
@@ -72,7 +69,7 @@ class PartSearchRules:
     mirrored : best candidates that are also composed with the symmetry of the whole.
     own_floor : in the search for that symmetry, so many places look as alike as the sample itself, ...
     own_pull, own_pulled : ... and the fixed sample pulls so, for so many steps: otherwise all falls to the identity.
-    own_facing : orientation below which a self-map is a mirror symmetry.
+    own_orientation : orientation below which a self-map is a mirror symmetry.
     """
 
     tolerance: float = 0.025
@@ -97,7 +94,7 @@ class PartSearchRules:
     own_floor: int = 10
     own_pull: float = 2.0
     own_pulled: int = 5
-    own_facing: float = -0.4
+    own_orientation: float = -0.4
 
 
 @dataclass(frozen=True)
@@ -163,6 +160,48 @@ class PartJudgementRules:
 
 
 @dataclass(frozen=True)
+class PartExtentRules:
+    """Which meshes are looked at as parts without being asked.
+
+    open : area of the caps that would close a mesh, as a part of its own, from which on it may be a part. Ten small
+        holes of a scan are below; a hand cut off at the wrist has 0.05.
+    same_area : areas that differ by no more than this factor are those of two wholes.
+    whole : a part that covers so much of the other mesh is none.
+    """
+
+    open: float = 0.01
+    same_area: float = 1.1
+    whole: float = 0.9
+
+
+@dataclass(frozen=True)
+class PartScaleRules:
+    """The search for the scale of a part.
+
+    least, most : lengths of the part that are tried, as a factor of those with which its area is that of the whole.
+    step : from one factor to the next.
+    candidates, seeds, improved, sweeps, mirrored : of the quick search at each factor.
+    known : the unit of the files is right where the score there is below ...
+    close : ... and distances on the whole are those on the part up to this.
+    settled : changes of the scale below this are none.
+    rounds : of the correction by the distances that are matched.
+    """
+
+    least: float = 0.25
+    most: float = 1.05
+    step: float = 1.1
+    candidates: int = 20
+    seeds: int = 2
+    improved: int = 6
+    sweeps: int = 2
+    mirrored: int = 2
+    known: float = 0.2
+    close: float = 0.05
+    settled: float = 0.02
+    rounds: int = 2
+
+
+@dataclass(frozen=True)
 class PartRules:
     """All rules of parts; see each group."""
 
@@ -173,3 +212,5 @@ class PartRules:
     growth: PartGrowthRules = field(default_factory=PartGrowthRules)
     coverage: PartCoverageRules = field(default_factory=PartCoverageRules)
     judgement: PartJudgementRules = field(default_factory=PartJudgementRules)
+    extent: PartExtentRules = field(default_factory=PartExtentRules)
+    scale: PartScaleRules = field(default_factory=PartScaleRules)

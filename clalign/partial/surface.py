@@ -9,15 +9,15 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse import csgraph
 
-from clalign.geometry.heat import FastMarching, HeatMethod, distance_solver
+from clalign.geometry.cache import ShapeCache
+from clalign.geometry.geodesics import Sampler
+from clalign.geometry.heat import FastMarching, farthest_points
 from clalign.geometry.operators import lumped_mass, mean_curvature, stiffness
-from clalign.geometry.spectra import Spectrum, solve
-from clalign.geometry.workers import processor_count
+from clalign.geometry.shape import stored_basis, stored_geodesics
+from clalign.geometry.spectra import Spectrum
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.topology import boundary_vertices
-from clalign.part_rules import PartSampleRules
-
-Solver = HeatMethod | FastMarching
+from clalign.part_rules import PartRules
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,18 +113,15 @@ class SampledSurface:
         return lower
 
 
-def sampled_surface(
-    mesh: Mesh, samples: int, functions: int, margin: float, rules: PartSampleRules, quantile: float, *, marched: bool
+def whole_surface(
+    mesh: Mesh, rules: PartRules, sampler: Sampler = farthest_points, cache: ShapeCache | None = None
 ) -> SampledSurface:
-    """Prepare a surface in the unit of its mesh, in which its area is 1.
+    """Prepare the surface that others are parts of, in the unit of its mesh, in which its area is 1.
 
     Parameters
     ----------
-    samples : that are drawn.
-    functions : eigenfunctions.
-    margin : samples lie at least so far from the boundary, if that leaves half of the area.
-    quantile : at which mean curvature is cut.
-    marched : march fronts, which takes four times as long as heat and does not mind boundaries.
+    sampler : `heat.farthest_points`, or what does the same elsewhere.
+    cache : where spectra and distances are looked up first and stored after; None computes them.
 
     Raises
     ------
@@ -133,63 +130,92 @@ def sampled_surface(
     ConvergenceError
         An eigenpair is not accurate.
     """
-    vertices, faces, n = mesh.vertices, mesh.faces, mesh.n_vertices
-    mass, weights = lumped_mass(vertices, faces), stiffness(vertices, faces)
-    on_boundary = boundary_vertices(faces, n)
-    curvature = np.where(on_boundary, 0.0, mean_curvature(vertices, faces, mass, weights))
-    limit = float(np.quantile(np.abs(curvature), quantile))
-    front = FastMarching(vertices, faces, mesh.name)
-    solver = front if marched else distance_solver(vertices, faces, mesh.name)
-    to_boundary = front.from_all(np.flatnonzero(on_boundary)) if on_boundary.any() else np.full(n, np.inf)
+    count = rules.samples.places
+    geodesics = stored_geodesics(mesh, count, count, sampler, cache)
+    front = FastMarching(mesh.vertices, mesh.faces, mesh.name)
+    return _surface(mesh, front, geodesics.samples, geodesics.rows, rules.samples.functions, rules, cache)
+
+
+def part_surface(
+    mesh: Mesh, margin: float, functions: int, rules: PartRules, cache: ShapeCache | None = None
+) -> SampledSurface:
+    """Prepare a part, in the unit of its mesh, in which its area is 1.
+
+    Distances are marched, which takes four times as long a row as heat, and does not mind boundaries.
+
+    Parameters
+    ----------
+    margin : samples lie at least so far from the boundary, if that leaves half of the area.
+    functions : eigenfunctions.
+    cache : for spectra.
+
+    Raises
+    ------
+    MeshError, ConvergenceError
+        See `whole_surface`.
+    """
+    front = FastMarching(mesh.vertices, mesh.faces, mesh.name)
+    mass, to_boundary = lumped_mass(mesh.vertices, mesh.faces), _to_boundary(mesh, front)
     inside = to_boundary >= margin
     if mass[inside].sum() < 0.5 * mass.sum():
         inside = to_boundary >= np.quantile(to_boundary, 0.4)
-    chosen, rows = _spread(solver, inside, to_boundary if on_boundary.any() else _depth(vertices, mass), samples)
+    depth = to_boundary
+    if np.isinf(to_boundary).all():
+        depth = -np.linalg.norm(mesh.vertices - mass @ mesh.vertices / mass.sum(), axis=1)
+    deepest = int(np.where(inside, depth, -np.inf).argmax())
+    first = int(np.where(inside, front.row(deepest), -1.0).argmax())
+    return _surface(mesh, front, *_farthest(front, inside, first, rules.samples.samples), functions, rules, cache)
+
+
+def _surface(
+    mesh: Mesh,
+    front: FastMarching,
+    samples: NDArray[np.int64],
+    rows: NDArray[np.float32],
+    functions: int,
+    rules: PartRules,
+    cache: ShapeCache | None,
+) -> SampledSurface:
+    vertices, faces = mesh.vertices, mesh.faces
+    mass, weights = lumped_mass(vertices, faces), stiffness(vertices, faces)
+    on_boundary = boundary_vertices(faces, mesh.n_vertices)
+    curvature = np.where(on_boundary, 0.0, mean_curvature(vertices, faces, mass, weights))
+    limit = float(np.quantile(np.abs(curvature), rules.descriptors.quantile))
     return SampledSurface(
         mesh=mesh,
         vertices=vertices,
         mass=mass,
         stiffness=weights,
         curvature=np.clip(curvature, -limit, limit),
-        basis=solve(weights, mass, functions, processor_count()),
-        to_boundary=to_boundary,
-        samples=chosen,
+        basis=stored_basis(mesh, weights, mass, functions, cache),
+        to_boundary=_to_boundary(mesh, front),
+        samples=samples,
         rows=rows,
-        rim=_rim(solver, vertices, on_boundary, rules.boundary),
+        rim=_rim(front, vertices, on_boundary, rules.samples.boundary),
     )
 
 
-def _depth(vertices: NDArray[np.float64], mass: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return minus the distance of each vertex from the centroid: where sampling starts on a closed surface."""
-    centre = mass @ vertices / mass.sum()
-    return -np.linalg.norm(vertices - centre, axis=1)
+def _to_boundary(mesh: Mesh, front: FastMarching) -> NDArray[np.float64]:
+    on_boundary = np.flatnonzero(boundary_vertices(mesh.faces, mesh.n_vertices))
+    return front.from_all(on_boundary) if on_boundary.size else np.full(mesh.n_vertices, np.inf)
 
 
-def _rim(solver: Solver, vertices: NDArray[np.float64], on_boundary: NDArray[np.bool_], count: int) -> Rim:
+def _rim(front: FastMarching, vertices: NDArray[np.float64], on_boundary: NDArray[np.bool_], count: int) -> Rim:
     if not on_boundary.any():
         return Rim(np.zeros(0, np.int64), np.zeros((0, len(vertices)), np.float32), np.zeros((0, 0)))
-    chosen, rows = _farthest(solver, on_boundary, int(np.flatnonzero(on_boundary)[0]), count)
+    chosen, rows = _farthest(front, on_boundary, int(np.flatnonzero(on_boundary)[0]), count)
     places = vertices[chosen]
     return Rim(chosen, rows, np.linalg.norm(places[:, None] - places[None], axis=2))
 
 
-def _spread(
-    solver: Solver, allowed: NDArray[np.bool_], depth: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Return farthest-point samples among allowed vertices; the first is the farthest from the deepest of them."""
-    deepest = int(np.where(allowed, depth, -np.inf).argmax())
-    first = int(np.where(allowed, solver.row(deepest), -1.0).argmax())
-    return _farthest(solver, allowed, first, count)
-
-
 def _farthest(
-    solver: Solver, allowed: NDArray[np.bool_], first: int, count: int
+    front: FastMarching, allowed: NDArray[np.bool_], first: int, count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     following, chosen, rows = first, [], []
     gap = np.full(len(allowed), np.inf)
     for _ in range(min(count, int(allowed.sum()))):
         chosen.append(following)
-        rows.append(solver.row(following).astype(np.float32))
+        rows.append(front.row(following).astype(np.float32))
         gap = np.minimum(gap, rows[-1])
         gap[following] = -1.0
         following = int(np.where(allowed, gap, -2.0).argmax())

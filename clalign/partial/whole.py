@@ -70,7 +70,7 @@ def _mirror_symmetry(whole: Whole, rules: PartRules) -> NDArray[np.int64] | None
     bounds = whole.bounds.at(few, few)
     found = search(Assignment(bounds, whole.bounds, look, pulled))
     facing = orientation(own, surface, bounds, found.places, rules.facing)
-    mirrored = np.flatnonzero(facing < search_rules.own_facing)
+    mirrored = np.flatnonzero(facing < search_rules.own_orientation)
     if not mirrored.size:
         return None
     lower = whole.bounds.lower[:count]
