@@ -112,6 +112,18 @@ class PartFacingRules:
 
 
 @dataclass(frozen=True)
+class PartStart:
+    """Where ZoomOut starts.
+
+    weight : of the pointwise descriptors beside the functions.
+    functions : of the part.
+    """
+
+    weight: float
+    functions: int
+
+
+@dataclass(frozen=True)
 class PartGrowthRules:
     """From samples to all vertices.
 
@@ -119,7 +131,7 @@ class PartGrowthRules:
     share : of these that a function of the part needs at most: functions = share · anchors.
     step : functions of the part that are added a step.
     last : functions of the part at the end.
-    starts : (weight of the descriptors, functions of the part) that it starts from; the map of least stretch is kept.
+    starts : of which the one whose map stretches least is kept.
     times : diffusion times of the mean curvature that stands beside the functions.
     torn : stretch of an edge, as (l' − l)² / l², counts as so much at most.
     ridge : of the first least squares, relative.
@@ -129,7 +141,7 @@ class PartGrowthRules:
     share: float = 0.25
     step: int = 8
     last: int = 100
-    starts: tuple[tuple[float, float], ...] = ((0.6, 15), (0.6, 30), (1.0, 15), (1.0, 10))
+    starts: tuple[PartStart, ...] = (PartStart(0.6, 15), PartStart(0.6, 30), PartStart(1.0, 15), PartStart(1.0, 10))
     times: tuple[float, ...] = (0.0004, 0.002)
     torn: float = 9.0
     ridge: float = 1e-3
@@ -165,8 +177,8 @@ class PartExtentRules:
 
     open : area of the caps that would close a mesh, as a part of its own, from which on it may be a part. Ten small
         holes of a scan are below; a hand cut off at the wrist has 0.05.
-    same_area : areas that differ by no more than this factor are those of two wholes.
-    whole : a part that covers so much of the other mesh is none.
+    same_area : two open meshes whose areas differ by no more than this factor are both wholes.
+    whole : what has so much of the other mesh's area, at the scale that explains it best, is no part of it.
     """
 
     open: float = 0.01

@@ -306,7 +306,8 @@ def _show_summary(result: Correspondence, evaluation: Evaluation | None, folder:
         confidence = f"{result.confidence:.2f} of 1"
     if not math.isnan(result.orientation):
         confidence += f"; orientation {result.orientation:+.2f} (+1 kept everywhere, -1 mirrored)"
-    rows = [("device", result.device), ("timings", stages), ("losses", losses), ("confidence", confidence)]
+    rows = [("device", result.device), ("timings", stages), ("losses", losses or "none: R was not optimised")]
+    rows.append(("confidence", confidence))
     if evaluation is not None:
         # Lengths are in sqrt(area); the literature prints them times 100.
         mean, median = 100 * evaluation.mean, 100 * evaluation.median

@@ -32,14 +32,12 @@ def openness(mesh: Mesh) -> float:
 def suspected_part(source: Mesh, target: Mesh, rules: PartExtentRules) -> Side | None:
     """Return which mesh may be a part of the other, None where both have to be taken as wholes.
 
-    A part has a boundary that more than a small hole leaves, and less area in the same unit. Where the files do not
-    share a unit their areas say nothing, so an open mesh is suspected unless the areas agree.
+    A part has a boundary that more than a small hole leaves, and less area if both files have one unit. Two open meshes
+    of the same area are cut alike.
     """
     open_sides = openness(source) > rules.open, openness(target) > rules.open
-    if not any(open_sides):
-        return None
     ratio = (source.scale / target.scale) ** 2
-    if abs(math.log(ratio)) < math.log(rules.same_area):
+    if not any(open_sides) or (all(open_sides) and abs(math.log(ratio)) < math.log(rules.same_area)):
         return None
     if all(open_sides):
         return "source" if ratio < 1.0 else "target"

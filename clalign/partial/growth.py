@@ -19,7 +19,7 @@ from clalign.geometry.sampling import VertexOrder
 from clalign.maps.functional_maps import MatchedRows, functional_map
 from clalign.maps.nearest import Orders, nearest_rows, nearest_vertices
 from clalign.mesh.topology import edge_table
-from clalign.part_rules import PartGrowthRules, PartSearchRules
+from clalign.part_rules import PartGrowthRules, PartSearchRules, PartStart
 from clalign.partial.intervals import Intervals, misfits, tolerances
 from clalign.partial.surface import SampledSurface
 
@@ -86,7 +86,7 @@ def grown(
     whole: SampledSurface,
     fields: Fields,
     anchors: tuple[NDArray[np.int64], NDArray[np.int64]],
-    start: tuple[float, float],
+    start: PartStart,
     rules: PartGrowthRules,
     backend: Backend = HOST,
 ) -> GrownMap:
@@ -96,9 +96,9 @@ def grown(
     ----------
     fields : (n_part, f) and (n_whole, f) pointwise descriptors that stand beside the functions.
     anchors : (q,) vertices of the part and of the whole that are matched to begin with.
-    start : weight of the fields, and functions of the part to begin with.
+    start : weight of the fields, and functions to begin with.
     """
-    weight, size = start[0], int(start[1])
+    weight, size = start.weight, start.functions
     ratio, orders = part.area / whole.area, vertex_orders(part, whole)
     size = min(size, int(rules.share * len(anchors[0])), part.basis.count)
     last = min(rules.last, part.basis.count)

@@ -48,7 +48,7 @@ def placed(
     plausible = scale.least <= factor <= 1.0 / scale.least
     found = place(part, whole, factor, sign, rules) if same_unit or plausible else None
     if found is not None and (same_unit or _explains(found, whole, rules)):
-        return found if same_unit else corrected(part, whole, found, sign, rules)
+        return found
     search = replace(
         rules.search,
         candidates=scale.candidates,
@@ -77,7 +77,7 @@ def corrected(part: SampledSurface, whole: Whole, found: Placement, sign: float,
     best = found
     for _ in range(rules.scale.rounds):
         change = measured_factor(best, whole, rules)
-        if abs(np.log(change)) < np.log1p(rules.scale.settled) and best is not found:
+        if abs(np.log(change)) < np.log1p(rules.scale.settled):
             break
         tried = place(part, whole, best.factor * change, sign, rules)
         if (tried.passed, -tried.score) <= (best.passed, -best.score):
