@@ -82,6 +82,7 @@ def variants(constants: GpuClass, precision: str) -> Iterator[tuple[str, str, di
         "gpu_soft_map_gradient": {"": constants.gradient},
         "gpu_soft_map_streamed": {"": constants.streamed},
         "gpu_best": {"": constants.best},
+        "gpu_distortion": {"": constants.core},
     }
     item_bytes = 8 if precision == "double" else 4
     common = {"PRECISION": 8 * item_bytes, **constants.definitions(item_bytes)}

@@ -115,6 +115,19 @@ class CpuProducts(CpuArrays):
         solve = kernel("cholesky", "solve_rows", CHOLESKY_ITEMS=CHOLESKY_ITEMS)
         launch(solve, ceil_div(m, self.width), m, k, factor, panels, result)
 
+    def distortion_core(
+        self,
+        core_x: Array,
+        core_y: Array,
+        inside: Array,
+        gram: Array,
+        value: Array,
+        last: Array,
+        across: Array,
+    ) -> bool:
+        """Leave the small matrices of the distortion to products: a CPU loses little by many launches."""
+        return False
+
     def _product(
         self,
         a: Array,

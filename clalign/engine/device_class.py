@@ -65,7 +65,7 @@ class GpuClass:
     """Constants of GPUs.
 
     large, small : tiles of products: the large one where it keeps the device busy.
-    soft_map, gradient, best, streamed : tiles of the kernels of these names.
+    soft_map, gradient, best, streamed, core : tiles of the kernels of these names.
     unroll : steps of a panel that are multiplied in a row.
     streamed_unroll : the same where two chained tiles leave fewer registers.
     groups_per_unit : work-groups that a unit should have; a sum is split where the tiles of its result are fewer.
@@ -80,6 +80,7 @@ class GpuClass:
     gradient: Tile
     best: Tile
     streamed: Tile
+    core: Tile
     unroll: int = 4
     streamed_unroll: int = 2
     groups_per_unit: int = 2
@@ -103,10 +104,19 @@ CPU_LONG_VECTORS = replace(CPU, vector=64, tile_rows=8, fitted_tile_rows=(10, 9,
 # 8 x 4 sums an item: a step reads 12 numbers from local memory for 32 multiply-adds, and two work-groups share the
 # registers of a unit. 8 x 8 would need more registers than that allows.
 _WIDE, _SQUARE = Tile(128, 64, 8), Tile(64, 64, 16)
-GPU = GpuClass(large=_WIDE, small=_SQUARE, soft_map=_WIDE, gradient=_WIDE, best=_WIDE, streamed=Tile(64, 64, 8))
+GPU = GpuClass(
+    large=_WIDE, small=_SQUARE, soft_map=_WIDE, gradient=_WIDE, best=_WIDE, streamed=Tile(64, 64, 8), core=_SQUARE
+)
 _DOUBLES = Tile(64, 64, 4)
 GPU_DOUBLE = GpuClass(
-    large=_DOUBLES, small=_DOUBLES, soft_map=_DOUBLES, gradient=_DOUBLES, best=_DOUBLES, streamed=_DOUBLES, unroll=2
+    large=_DOUBLES,
+    small=_DOUBLES,
+    soft_map=_DOUBLES,
+    gradient=_DOUBLES,
+    best=_DOUBLES,
+    streamed=_DOUBLES,
+    core=_DOUBLES,
+    unroll=2,
 )
 """Doubles fill twice the registers and local memory."""
 

@@ -62,6 +62,18 @@ class GpuProducts(GpuArrays):
         kernel = self.device.kernel("gpu_cholesky", "solve_rows")
         self._launch_groups(kernel, (ceil_div(m, SOLVED_ROWS),), m, k, factor, rhs, result)
 
+    def distortion_core(
+        self, core_x: Array, core_y: Array, inside: Array, gram: Array, value: Array, last: Array, across: Array
+    ) -> bool:
+        """Queue the small matrices of the distortion in one launch, and tell whether they are small enough for it."""
+        tile, (r_x, r_y) = self.constants.core, inside.shape
+        if max(r_x, r_y) > tile.rows:
+            return False
+        work = self.device.scratch("distortion", 7 * tile.rows * tile.columns)
+        kernel = self._tiled("gpu_distortion", "distortion_core", tile)
+        self._launch_groups(kernel, (1,), r_x, r_y, core_x, core_y, inside, gram, work, value, last, across)
+        return True
+
     def _product(
         self,
         a: Array,

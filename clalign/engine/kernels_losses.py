@@ -29,6 +29,19 @@ class KernelLosses(KernelProducts):
         self.product(left_x, inside, scale=-1.0, accumulate=True, out=outside)
         self.weighted_gram(outside, outside, w, out=gram)
 
+        last, across = self._work("last", r_x, r_y), self._work("across", r_y, r_y)
+        if not self._launcher.distortion_core(core_x, core_y, inside, gram, value, last, across):
+            self._core_products(core_x, core_y, inside, gram, value, last, across)
+        self.product(left_x, last, scale=-4.0, out=slope)
+        self.product(outside, across, scale=4.0, accumulate=True, out=slope)
+        self.scale_rows(slope, w, out=slope)
+        return value, slope
+
+    def _core_products(
+        self, core_x: Array, core_y: Array, inside: Array, gram: Array, value: Array, last: Array, across: Array
+    ) -> None:
+        """Queue what Eq. 22 makes of small matrices (r_x, r_y), product by product; gram is used up."""
+        r_x, r_y = inside.shape
         mapped = self.product(inside, core_y, out=self._work("mapped", r_x, r_y))
         residual = self._work("residual", r_x, r_x)
         self.device.copy(core_x, residual)
@@ -45,12 +58,8 @@ class KernelLosses(KernelProducts):
         core_full = self.product(core_y, gram, out=core_gram)
         along = self.product(core_x, inside, out=mapped)
         self.product(inside, core_full, scale=-1.0, accumulate=True, out=along)
-        last = self.product(along, core_y, out=mixed)
-        across = self.product(core_full, core_y, out=gram_core)
-        self.product(left_x, last, scale=-4.0, out=slope)
-        self.product(outside, across, scale=4.0, accumulate=True, out=slope)
-        self.scale_rows(slope, w, out=slope)
-        return value, slope
+        self.product(along, core_y, out=last)
+        self.product(core_full, core_y, out=across)
 
     @operation
     def alignment(

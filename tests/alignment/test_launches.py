@@ -11,7 +11,7 @@ from clalign.benchmark.losses import ProblemSize, synthetic_problem
 from clalign.engine.device import Device
 from clalign.engine.kernels import Kernels
 
-MOST_LAUNCHES = 60
+MOST_LAUNCHES = 47
 
 
 @pytest.mark.usefixtures("opencl")

@@ -118,15 +118,20 @@ def test_candidates(check_gpu, rng, kind):
 
 
 @pytest.mark.parametrize("one_sided", [False, True])
-def test_losses(check_gpu, rng, one_sided):
+def test_alignment(check_gpu, rng, one_sided):
     band = band_of(70)
     inside = Reference().band_expand(np.ones(band.count), band)
     rotation = inside * rng.normal(size=(70, 70))
     grams = [values.T @ values for values in rng.normal(size=(3, 90, 70))]
     check_gpu("alignment", rotation, np.ascontiguousarray(rotation.T), *grams, band, one_sided, inside=band)
-    left, w = np.linalg.qr(rng.normal(size=(67, 6)))[0], np.ones(67)
-    cores = [values + values.T for values in (rng.normal(size=(5, 5)), rng.normal(size=(6, 6)))]
-    check_gpu("distortion", rng.normal(size=(67, 5)), cores[0], left, cores[1], w)
+
+
+@pytest.mark.parametrize(("n", "r_x", "r_y"), [(1, 1, 1), (67, 6, 5), (80, 41, 64), (70, 3, 66)])
+def test_distortion(check_gpu, rng, n, r_x, r_y):
+    """The last has matrices that are larger than a tile."""
+    left = np.linalg.qr(rng.normal(size=(n, r_x)))[0]
+    core_x, core_y = (values + values.T for values in (rng.normal(size=(r, r)) / r for r in (r_x, r_y)))
+    check_gpu("distortion", rng.normal(size=(n, r_y)) / n, core_y, left, core_x, np.ones(n))
 
 
 def test_elementwise(check_gpu, rng):
