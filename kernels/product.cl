@@ -6,8 +6,9 @@
  * covers row-major B and B packed by pack_panels.
  * The order of summation does not depend on the launch, so results are bitwise reproducible.
  *
- * product:     launch (ceil(row groups / groups), ceil(column panels / panels)); a, b reals; c (m, n); each (*, 2) int or NULL, first and last + 1: left_depths (row groups) and right_depths (column panels), the
- *              depth with anything in them; kept (column panels), the rows of C that are wanted of that panel
+ * product:     launch (ceil(row groups / groups), ceil(column panels / panels)); a, b reals; c (m, n); each (*, 2) int or
+ *              NULL, first and last + 1: left_depths (row groups) and right_depths (column panels), the depth with anything
+ *              in them; kept (column panels), the rows of C that are wanted of that panel
  * pack_panels: launch (column panels, ceil(depth / DP)); out (column panels, depth, W) = b[t b_row + j b_column], zero
  *              beyond column n
  * pack_tiles:  launch (tiles, ceil(depth / DP)); out (tiles, depth, RT) = weight[t] b[t, j] for row-major b

@@ -1,7 +1,7 @@
 """Registers, spills, private memory and occupancy of the kernels of GPUs, from NVIDIA's assembler and without a card.
 
 ``python tools/gpu_registers.py`` compiles every program as `clalign.engine.device_class` has it built, and prints a
-table; ``--update docs/devices.md`` puts it there. Exit status 1 if a kernel spills, has a private stack, or fills
+table; ``--update docs/benchmarks.md`` puts it there. Exit status 1 if a kernel spills, has a private stack, or fills
 less than a quarter of a unit. NVIDIA's own OpenCL compiler may differ a little.
 
 Needs ``clang-15`` and ``libclc-15`` (``apt install clang-15 libclc-15``), and ``ptxas`` of the CUDA tools on the path
