@@ -84,11 +84,17 @@ run() {
   fi
   local packages
   packages=$(mktemp -d)
-  # What is there already, such as PyTorch and its numpy, is kept: the wheels come after it on the path.
   if [ -n "$(ls "$wheels"/*.whl 2> /dev/null)" ]; then
-    part install 60 "$python" -m pip install --quiet --no-index --find-links "$wheels" --target "$packages" "${PACKAGES[@]}"
+    local from=(--quiet --no-index --find-links "$wheels" "${PACKAGES[@]}")
+    # An environment that sees what is installed already, such as PyTorch and its numpy, and takes the rest from the wheels.
+    if "$python" -m venv --system-site-packages --without-pip "$packages/env" &&
+      part install 60 "$python" -m pip --python "$packages/env/bin/python" install "${from[@]}"; then
+      python="$packages/env/bin/python"
+    else
+      part install-beside 60 "$python" -m pip install --target "$packages/beside" "${from[@]}"
+    fi
   fi
-  export PYTHONPATH="$PWD:$packages" OMP_NUM_THREADS=${OMP_NUM_THREADS:-8} POCL_CACHE_DIR="$packages"
+  export PYTHONPATH="$PWD:$packages/beside" OMP_NUM_THREADS=${OMP_NUM_THREADS:-8} POCL_CACHE_DIR="$packages"
   part doctor 60 "$python" -m clalign.cli.main doctor || failed=1
   part targets 120 "$python" tools/gpu_targets.py --device "$device" --out "$OUT/targets.json" "${small[@]}"
   CLALIGN_DEVICE=$device part tests 100 "$python" -m pytest -q -p no:cacheprovider tests/engine/test_gpu_class.py || failed=1
