@@ -23,7 +23,7 @@ class PartSampleRules:
     samples: int = 60
     margin: float = 0.02
     boundary: int = 120
-    functions: int = 200
+    functions: int = 400
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class PartGrowthRules:
     anchors: int = 600
     share: float = 0.25
     step: int = 8
-    last: int = 100
+    last: int = 160
     starts: tuple[PartStart, ...] = (PartStart(0.6, 15), PartStart(0.6, 30), PartStart(1.0, 15), PartStart(1.0, 10))
     times: tuple[float, ...] = (0.0004, 0.002)
     torn: float = 9.0

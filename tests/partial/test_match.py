@@ -211,6 +211,6 @@ def test_the_command_line_matches_a_part(tmp_path: Path, capsys: pytest.CaptureF
     assert facts["part"]["scale"] == 1.0
     assert facts["part"]["asked"] is True
     assert facts["options"]["partial"] == {"part": "source", "scale": "same"}
-    assert json.loads((out / "evaluation.json").read_text())["sqrt_area"]["mean"] < 0.015
+    assert json.loads((out / "evaluation.json").read_text())["per_sqrt_area"]["mean"] < 0.015
     assert (out / "match.png").stat().st_size > 10_000
     assert (out / "report.html").stat().st_size > 100_000
