@@ -45,6 +45,7 @@ class Assignment:
     part : (S, S) bounds of the distances among the part's samples.
     whole : (P, P) the same among the places.
     look : (S, P) costs; see `descriptors.look_costs`.
+    rules : of the search.
     """
 
     part: Intervals
