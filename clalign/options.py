@@ -256,12 +256,15 @@ class EngineOptions:
     device : device specification such as "cpu", "gpu", "0:1" or part of a name; empty picks one.
     precision : "single" or "double" (where the device has it).
     memory : bytes that the process may use at most (0: what the machine has).
+    device_class : kernels written for a "cpu" or for a "gpu"; "auto" takes those that suit the device. The others
+        compute the same, slowly: they are a check.
     """
 
     backend: Literal["opencl", "reference"] = "opencl"
     device: str = ""
     precision: Literal["single", "double"] = "single"
     memory: int = 0
+    device_class: Literal["auto", "cpu", "gpu"] = "auto"
 
     def __post_init__(self) -> None:
         _check_choices("engine", self)

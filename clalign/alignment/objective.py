@@ -133,12 +133,15 @@ class Objective:
         weight = fixed.weight * (0.5 if options.cycle else 1.0)
         through.add_gradient(dalpha, dbeta, weight, gradient)
         unitarity = self._unitarity.value_adding_gradient(rotation, transposed, gradient)
-        packed = backend.numpy(backend.band_gather(gradient, self.band)).astype(np.float64)
         losses = {"align": align, **distortions.terms, "unitarity": unitarity}
-        terms = {name: float(loss) for name, loss in losses.items()}
+        # The one place where the host waits for the device.
+        packed, *values = backend.read(
+            [backend.band_gather(gradient, self.band), *(loss.value for loss in losses.values())]
+        )
+        terms = {name: float(value) / loss.divisor for (name, loss), value in zip(losses.items(), values, strict=True)}
         distortion = terms["unsup"] + terms.get("cycle", 0.0)
         total = terms["align"] + weight * distortion + options.unitarity * terms["unitarity"]
-        return Evaluation(total, terms, packed)
+        return Evaluation(total, terms, packed.astype(np.float64))
 
     def _both(self, rotation: NDArray[np.float64]) -> tuple[Any, Any]:
         """Return R and Rᵀ on the backend."""
