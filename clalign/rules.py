@@ -3,7 +3,8 @@
 Rules are passed down as arguments, written to ``result.json`` with the options, and varied by the study like options:
 ``--set rules.search.finalists=32``. What is not here guards floating-point arithmetic, or chooses between ways to
 compute the same; ``maps/nearest.py`` and ``maps/inverted_file.py`` say from which size on, and how, nearest neighbours
-are approximated.
+are approximated, ``geometry/heat.py`` from which on distances are marched, and the modules of ``mesh/`` how damaged
+files are read.
 """
 
 from __future__ import annotations
@@ -47,6 +48,44 @@ class Levels:
     def last(self) -> Level:
         """The step with which it ends."""
         return Level(self.sizes[-1], self.queries, self.points)
+
+
+@dataclass(frozen=True)
+class ShapeRules:
+    """Descriptors of one shape.
+
+    oriented_functions : functions that the orientation tensor is computed for: more than any step looks at would only
+        cost.
+    signatures : heat kernel signatures, at times in equal ratios ...
+    first_time, last_time : ... from one to the other, in units of area: before the first they tell triangulations
+        apart, after the last all points of a body are alike.
+    curvature_quantile : larger curvatures, of slivers and spikes, are cut to this quantile of their size ...
+    curvature_time : ... before curvature is diffused for so long, in units of area, which forgets what is finer than
+        about a twentieth of the size of a body.
+    """
+
+    oriented_functions: int = 30
+    signatures: int = 6
+    first_time: float = 0.002
+    last_time: float = 0.05
+    curvature_quantile: float = 0.98
+    curvature_time: float = 0.001
+
+
+@dataclass(frozen=True)
+class StartRules:
+    """The map that shapes show as they lie in space.
+
+    normals : two vertices at one place whose normals are at right angles count as sqrt(2) times this far apart, in
+        sqrt(area).
+    rigid_steps : of iterated closest points, at most.
+    trimmed : share of the vertices, the closest ones, that a rigid motion is fitted to: what moved otherwise is left
+        out.
+    """
+
+    normals: float = 0.1
+    rigid_steps: int = 50
+    trimmed: float = 0.7
 
 
 @dataclass(frozen=True)
@@ -134,6 +173,8 @@ class SearchRules:
     fine : the fine ZoomOut steps.
     least_orientation : a map below is ranked behind every one above.
     distinct : mean geodesic distance from which on two maps are different ones, in units of sqrt(area).
+    distance_floor : added to the sum of two distances that a difference of distances is compared with, in units of
+        sqrt(area): about the spacing of the samples that distances lead to.
     """
 
     oriented: TreeRules = TreeRules(9, (16, 18, 20), strengths=(0.5, 1.0), least_orientation=0.2, most=120)
@@ -161,6 +202,7 @@ class SearchRules:
     fine: Levels = Levels((45, 50, 56, 63, 71, 80, 90, 100, 110, 120), 500, 1000)
     least_orientation: float = 0.5
     distinct: float = 0.05
+    distance_floor: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -336,6 +378,8 @@ class LandmarkRules:
 class Rules:
     """All rules; see each group."""
 
+    shape: ShapeRules = field(default_factory=ShapeRules)
+    start: StartRules = field(default_factory=StartRules)
     search: SearchRules = field(default_factory=SearchRules)
     rivals: RivalRules = field(default_factory=RivalRules)
     landmarks: LandmarkRules = field(default_factory=LandmarkRules)

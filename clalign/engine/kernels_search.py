@@ -6,7 +6,6 @@ import numpy as np
 
 from clalign.engine.kernels_arrays import PART, Array, ArrayPair, ceil_div, operation, require_shapes
 from clalign.engine.kernels_products import KernelProducts
-from clalign.engine.reference import RELATIVE_DISTANCE_FLOOR, DistortionKind
 from clalign.errors import InputError
 
 CHECK_STEPS = 32
@@ -91,12 +90,12 @@ class KernelSearches(KernelProducts):
         dy: Array,
         w: Array,
         index: Array,
-        kind: DistortionKind = "squared",
+        floor: float | None = None,
         *,
         out: Array | None = None,
     ) -> Array:
-        if kind not in ("squared", "relative"):
-            raise InputError(f"distortion_batch: kind must be squared or relative, got {kind!r}")
+        if floor is not None and not floor > 0:
+            raise InputError(f"distortion_batch: the floor of relative distances must be positive, got {floor!r}")
         m, maps = index.shape
         p = dx.shape[0]
         require_shapes("distortion_batch", dx=(dx.shape, (p, p)), dy=(dy.shape, (m, m)), w=(w.shape, (m,)))
@@ -104,7 +103,7 @@ class KernelSearches(KernelProducts):
         rows = self.device.scratch("maps", maps * m, np.int32)
         parts = ceil_div(m, DISTORTION_ROWS)
         partial = self.device.scratch("partial", parts * maps)
-        defines = self._candidate_defines(kind)
+        defines = self._candidate_defines(floor)
         launch, kernel = self.device.launch, self.device.kernel
         launch(kernel("candidates", "transpose_maps", **defines), maps, m, maps, index, rows)
         scores = kernel("candidates", "distortion_parts", **defines)
@@ -118,11 +117,11 @@ class KernelSearches(KernelProducts):
         p = dx.shape[0]
         require_shapes("map_distance", dx=(dx.shape, (p, p)), w=(w.shape, (m,)))
         result = self._result("map_distance", (maps, maps), out)
-        kernel = self.device.kernel("candidates", "map_distance", **self._candidate_defines("squared"))
+        kernel = self.device.kernel("candidates", "map_distance", **self._candidate_defines())
         self.device.launch(kernel, (ceil_div(maps, self.device.panel_width), maps), m, maps, p, dx, w, index, result)
         return result
 
-    def _candidate_defines(self, kind: DistortionKind) -> dict[str, str | int]:
+    def _candidate_defines(self, floor: float | None = None) -> dict[str, str | int]:
+        defines: dict[str, str | int] = {"DB": DISTORTION_ROWS}
         suffix = "f" if self.dtype.itemsize == 4 else ""
-        floor = f"{RELATIVE_DISTANCE_FLOOR}{suffix}"
-        return {"RELATIVE": int(kind == "relative"), "DB": DISTORTION_ROWS, "FLOOR": floor}
+        return defines if floor is None else {**defines, "FLOOR": f"{float(floor)!r}{suffix}"}

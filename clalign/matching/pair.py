@@ -75,7 +75,7 @@ def match(
     with clock.stage("read"):
         strict = chosen.surface.strict
         meshes = as_mesh(source, "source", strict=strict), as_mesh(target, "target", strict=strict)
-        first = None if start is None else starting_map(start, *meshes)
+        first = None if start is None else starting_map(start, *meshes, chosen.rules.start)
         known = None if landmarks is None else landmarks_of(landmarks, *meshes, landmark_tolerance)
     with clock.stage("device"):
         backend = open_backend(chosen.engine)

@@ -106,7 +106,7 @@ def choose_grown(
         ways = (source, target, maps.target_of_source), (target, source, maps.source_of_target)
         energies[number] = limits.least_energy + sum(stretch_energy(*way, limits) for way in ways)
     batch = up_sample(pair, functional, [level])
-    scores = map_scores(pair, batch, level.points)
+    scores = map_scores(pair, batch, level.points, rules.search)
     orientation = pair.orientations(batch, rules.search.scored_products)
     failed = facing(orientation, sign) <= rules.search.least_orientation
     order = [*np.lexsort((energies, failed[:count])), *range(count, len(every))]

@@ -94,7 +94,8 @@ def best_grown_map(
     pair = SamplePair.of(source, target, backend)
     level = pair.fit(len(grown[0]), inside.queries, inside.queries)
     cut = np.array([each[: level.size, : level.size] for each in grown], dtype=np.float32)
-    return grown[int(np.argmin(map_scores(pair, up_sample(pair, cut, [level]), level.points)))]
+    scores = map_scores(pair, up_sample(pair, cut, [level]), level.points, rules.search)
+    return grown[int(np.argmin(scores))]
 
 
 def vertex_maps(source: Shape, target: Shape, functional: NDArray[np.float64], backend: Backend) -> PointMaps:

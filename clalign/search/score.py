@@ -62,7 +62,7 @@ def commutativity(batch: Batch, source: NDArray[np.float64], target: NDArray[np.
     return np.sum((batch.functional * gap) ** 2, axis=(1, 2)) / np.sum(target[:size] ** 2)
 
 
-def map_scores(pair: SamplePair, batch: Batch, points: int) -> NDArray[np.float64]:
+def map_scores(pair: SamplePair, batch: Batch, points: int, rules: SearchRules) -> NDArray[np.float64]:
     """Return each candidate's score, a product of five unit-free ones without weights; lower is better.
 
     Relative distortion · mean curvature · Gaussian curvature · log-HKS · commutativity with the Laplacian.
@@ -73,7 +73,7 @@ def map_scores(pair: SamplePair, batch: Batch, points: int) -> NDArray[np.float6
     curvature = descriptor_differences(source.curvatures, target.curvatures[:queries], batch.index, weights)
     signature = descriptor_differences(source.signatures, target.signatures[:queries], batch.index, weights).sum(axis=1)
     return np.asarray(
-        distortions(pair, batch.index, points, "relative")
+        distortions(pair, batch.index, points, rules.distance_floor)
         * np.prod(curvature, axis=1)
         * signature
         * commutativity(batch, source.eigenvalues, target.eigenvalues),
@@ -102,7 +102,7 @@ def facing(orientation: NDArray[np.float64], sign: float) -> NDArray[np.float64]
 
 def ranked(pair: SamplePair, batch: Batch, points: int, rules: SearchRules) -> Ranking:
     """Rank candidates by `map_scores`, those with an orientation above the least one before the others."""
-    scores = map_scores(pair, batch, points)
+    scores = map_scores(pair, batch, points, rules)
     orientation = pair.orientations(batch, rules.scored_products)
     order = np.lexsort((scores, orientation <= rules.least_orientation))
     batch, scores, orientation = batch.take(order), scores[order], orientation[order]
