@@ -175,6 +175,12 @@ class SearchRules:
     distinct : mean geodesic distance from which on two maps are different ones, in units of sqrt(area).
     distance_floor : added to the sum of two distances that a difference of distances is compared with, in units of
         sqrt(area): about the spacing of the samples that distances lead to.
+    given_floor : added to the difference of a user's descriptors, relative to their spread: less is noise, and a map
+        without any must not have a score of 0.
+    given_power : times their weight, the power of that difference in the score: at the usual weight of 0.25 it counts
+        as two of the shapes' own differences do.
+    first_given : functions of the map that sends samples to those with the most similar descriptors of the user, and
+        the samples.
     """
 
     oriented: TreeRules = TreeRules(9, (16, 18, 20), strengths=(0.5, 1.0), least_orientation=0.2, most=120)
@@ -203,16 +209,21 @@ class SearchRules:
     least_orientation: float = 0.5
     distinct: float = 0.05
     distance_floor: float = 0.05
+    given_floor: float = 0.05
+    given_power: float = 8.0
+    first_given: Level = Level(16, 200, 600)
 
 
 @dataclass(frozen=True)
 class RivalRules:
     """The choice among the best candidates of a search in doubt, after they are grown.
 
-    doubtful : rivals are grown where the confidence of the search is below: of 40 warped pairs the search was wrong on
-        six, always below 0.3.
+    doubtful : rivals are grown where the chosen map's orientation fails, or where the confidence of the search is
+        below: of 40 warped pairs the search was wrong on six, always below 0.3.
     exact : or where its score is below, which only an exact copy of the source reaches. Its samples are images of each
         other under the identity, but not under a symmetry that is as exact, so that the scores cannot be compared.
+    rounded : or where even a rival's score is below, as only symmetries of a body reach: five differences of a few per
+        cent each, which is what samples round them to. A person's left and right have 1e-6.
     slack : candidates with a score above so many times the least ...
     resolution : ... or so many times this, where that is more, are no rivals: scores of exact maps that samples round.
     most : rivals grown at most.
@@ -225,6 +236,7 @@ class RivalRules:
 
     doubtful: float = 0.5
     exact: float = 1e-12
+    rounded: float = 1e-7
     slack: float = 4.0
     resolution: float = 1e-6
     most: int = 6

@@ -34,6 +34,7 @@ from clalign.geometry.sampling import Samples, VertexOrder, spread_samples
 from clalign.geometry.spectra import Spectrum, solve
 from clalign.geometry.workers import processor_count, single_threaded_blas, thread_pool
 from clalign.memoize import memoize
+from clalign.mesh.descriptors import PointDescriptors
 from clalign.mesh.mesh import Mesh
 from clalign.options import GeodesicOptions, Options, SpectrumOptions
 from clalign.rules import ShapeRules
@@ -61,6 +62,7 @@ class Shape:
     orientation : (p, p, p) triple products of the first p functions of the basis.
     signatures : (n, s) logarithm of the heat kernel signature at the s times of the rules.
     curvatures : (n, 2) smoothed mean and Gaussian curvature.
+    given : descriptors of the user, beside those of the shape it is matched with; None without.
     """
 
     mesh: Mesh
@@ -75,6 +77,7 @@ class Shape:
     orientation: NDArray[np.float64]
     signatures: NDArray[np.float64]
     curvatures: NDArray[np.float64]
+    given: PointDescriptors | None = None
 
     @cached_property
     def order(self) -> VertexOrder:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from clalign.correspondence import Correspondence
 from clalign.ctrl_c import plain_interrupts
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
+from clalign.errors import OptionError
 from clalign.geometry.cache import ShapeCache, given_cache
 from clalign.geometry.shape import Shape, prepare_pair
 from clalign.geometry.workers import single_threaded_blas
@@ -18,6 +20,7 @@ from clalign.matching.loop import Clock, Progress, run_stages
 from clalign.matching.result import correspondence, warn_of_doubts
 from clalign.matching.start import starting_map
 from clalign.matching.state import MatchState
+from clalign.mesh.descriptors import DESCRIPTOR_WEIGHT, descriptors_of
 from clalign.mesh.landmarks import Landmarks, landmarks_of
 from clalign.mesh.mesh import as_mesh
 from clalign.options import Options, given_options
@@ -32,6 +35,8 @@ def match(
     start: Any = None,
     landmarks: Any = None,
     landmark_tolerance: float = 0.0,
+    descriptors: Any = None,
+    descriptor_weight: float = DESCRIPTOR_WEIGHT,
     progress: Progress | None = None,
     cache: ShapeCache | None = None,
 ) -> Correspondence:
@@ -48,6 +53,9 @@ def match(
         `clalign.mesh.landmarks.landmarks_of`. They choose among candidate maps and, with three or more, start one;
         those that the final map agrees with are kept exactly, others are named in a warning.
     landmark_tolerance : how far landmarks may be off, in sqrt(area); above 0 none is kept exactly.
+    descriptors : pointwise descriptors (F_x, F_y) of the user, (vertices of the file, columns); see
+        `clalign.mesh.descriptors.descriptors_of`. They join the search's score, the refinement and the read-out.
+    descriptor_weight : what their squared distances count, relative to those of the eigenfunctions.
     progress : called as ``progress(stage, fraction, message)``, fraction in [0, 1] of the stage.
     cache : keeps what is computed of a single shape for later matches; None computes everything.
 
@@ -60,9 +68,9 @@ def match(
     Raises
     ------
     OptionError
-        `options` or `cache` is something else, such as a name.
+        `options` or `cache` is something else, such as a name; or no step would look at the descriptors.
     InputError
-        The start or the landmarks do not fit the meshes.
+        The start, the landmarks or the descriptors do not fit the meshes.
     MeshError
         A mesh cannot be read or has a defect that the method cannot work with; the message says what to do.
     MemoryBudgetError
@@ -77,12 +85,17 @@ def match(
         meshes = as_mesh(source, "source", strict=strict), as_mesh(target, "target", strict=strict)
         first = None if start is None else starting_map(start, *meshes, chosen.rules.start)
         known = None if landmarks is None else landmarks_of(landmarks, *meshes, landmark_tolerance)
+        given = None if descriptors is None else descriptors_of(descriptors, *meshes, descriptor_weight)
+        if given is not None and chosen.search.method == "random" and not chosen.readout.steps:
+            raise OptionError("descriptors have no part in search.method=random with readout.steps=0 (--preset paper)")
     with clock.stage("device"):
         backend = open_backend(chosen.engine)
         device = backend.describe() if chosen.engine.backend == "opencl" else None
         require_memory(meshes[0].n_vertices, meshes[1].n_vertices, chosen, device)
     with clock.stage("prepare"):
         shapes = prepare_pair(*meshes, chosen, cache)
+        if given is not None:
+            shapes = replace(shapes[0], given=given[0]), replace(shapes[1], given=given[1])
     return match_shapes(*shapes, backend, chosen, clock, landmarks=known, start_map=first)
 
 

@@ -167,7 +167,7 @@ def read_out(state: MatchState, backend: Backend, report: Report) -> Iterator[Ma
     spectra = BoundSpectra(
         *objective.scale_invariant,
         *(backend.array(side.mass) for side in (state.source.scale_invariant, state.target.scale_invariant)),
-    )
+    ).with_given(state.source, state.target)
     embedded = None
     for step in range(state.steps, state.options.readout.steps):
         # Let go of the last ones before there are more.
@@ -210,7 +210,7 @@ STAGES = (
         lambda state: (
             not (state.rivals_grown or state.interrupted or state.landmarks is not None)
             and state.found is not None
-            and in_doubt(state.found, state.options.rules.rivals)
+            and in_doubt(state.found, wanted_sign(state), state.options.rules)
         ),
         choose,
     ),

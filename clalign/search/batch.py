@@ -21,6 +21,7 @@ from clalign.maps.functional_maps import told_apart
 from clalign.maps.orientation import orientation_scores
 from clalign.maps.zoomout import zoomout
 from clalign.memoize import memoize
+from clalign.mesh.descriptors import PointDescriptors
 from clalign.rules import Level
 
 
@@ -39,6 +40,7 @@ class SampledShape:
     tensor : (p, p, p) float64, O[a, b, c] = <phi_c, n . (grad phi_a x grad phi_b)>.
     signatures : (S, 6) float64, log heat kernel signatures.
     curvatures : (S, 2) float64, smoothed mean and Gaussian curvature.
+    given : (S, f) descriptors of the user; None without.
     """
 
     functions: NDArray[np.float64]
@@ -48,6 +50,7 @@ class SampledShape:
     tensor: NDArray[np.float64]
     signatures: NDArray[np.float64]
     curvatures: NDArray[np.float64]
+    given: PointDescriptors | None = None
 
     @staticmethod
     def of(shape: Shape) -> SampledShape:
@@ -61,6 +64,7 @@ class SampledShape:
             tensor=shape.orientation,
             signatures=shape.signatures[vertices],
             curvatures=shape.curvatures[vertices],
+            given=None if shape.given is None else shape.given.at(vertices),
         )
 
     @property

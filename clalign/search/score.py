@@ -55,6 +55,20 @@ def descriptor_differences(
     return np.einsum("m,mbf->bf", weights, differences) / np.maximum(spread, 1e-12)
 
 
+def given_factors(pair: SamplePair, batch: Batch, rules: SearchRules) -> NDArray[np.float64]:
+    """Return (B,) root mean square differences of pulled-back descriptors of the user, to a power of their weight.
+
+    They are relative to the spread of the descriptors; without any, 1.
+    """
+    source, target = pair.source.given, pair.target.given
+    if source is None or target is None:
+        return np.ones(batch.count)
+    weights = pair.target.prefix_weights(batch.index.shape[0])
+    own = target.values[: len(weights)]
+    squares = [weights @ np.square(source.values[column] - own).sum(axis=1) for column in batch.index.T]
+    return np.asarray((np.sqrt(squares) + rules.given_floor) ** (rules.given_power * target.weight), dtype=np.float64)
+
+
 def commutativity(batch: Batch, source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ‖C Λ_X − Λ_Y C‖² / ‖Λ_Y‖² of each candidate (an isometry commutes with the Laplacian)."""
     size = batch.functional.shape[1]
@@ -65,7 +79,8 @@ def commutativity(batch: Batch, source: NDArray[np.float64], target: NDArray[np.
 def map_scores(pair: SamplePair, batch: Batch, points: int, rules: SearchRules) -> NDArray[np.float64]:
     """Return each candidate's score, a product of five unit-free ones without weights; lower is better.
 
-    Relative distortion · mean curvature · Gaussian curvature · log-HKS · commutativity with the Laplacian.
+    Relative distortion · mean curvature · Gaussian curvature · log-HKS · commutativity with the Laplacian, times the
+    difference of the user's descriptors where there are any.
     """
     weights = pair.target.prefix_weights(batch.index.shape[0])
     queries = len(weights)
@@ -76,7 +91,8 @@ def map_scores(pair: SamplePair, batch: Batch, points: int, rules: SearchRules) 
         distortions(pair, batch.index, points, rules.distance_floor)
         * np.prod(curvature, axis=1)
         * signature
-        * commutativity(batch, source.eigenvalues, target.eigenvalues),
+        * commutativity(batch, source.eigenvalues, target.eigenvalues)
+        * given_factors(pair, batch, rules),
         dtype=np.float64,
     )
 

@@ -26,7 +26,7 @@ from clalign.mesh.mesh import mesh_from_arrays
 from clalign.option_values import leaves
 from clalign.options import Options
 from clalign.refinement.rivals import in_doubt
-from clalign.rules import JudgementRules, RivalRules, Rules
+from clalign.rules import JudgementRules, Rules
 from clalign.search.batch import SampledShape, SamplePair
 from clalign.search.find import Candidate, SearchResult
 from clalign.search.tips import tip_candidates
@@ -68,7 +68,7 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
         _with_landmarks(state, required(state.maps))
         starting_map(RIGID, source.mesh, target.mesh, options.rules.start)
         found = required(state.found)
-        in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), RivalRules(doubtful=0.0))
+        in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), 1.0, Options().rules)
     # Judged in the result, and read by collections only.
     elsewhere = {"JudgementRules", "CollectionRules", "Rules"}
     expected = {
