@@ -1,4 +1,4 @@
-"""The table of confidences: which maps are right, which pairs have several answers, and what is said of the silent ones."""
+"""The table of confidences: which maps are right, which pairs have several answers, which wrong ones are silent."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_symmetric_pair_is_meshed_twice_or_renumbered() -> None:
         pair = SymmetricPair("propeller", exact).load()
         assert pair.name == ("propeller exact" if exact else "propeller remeshed")
         apart = pair.target.vertices[pair.truth.target_points] - pair.source.vertices
-        assert (np.linalg.norm(apart, axis=1).max() < 1e-12) is exact
+        assert bool(np.linalg.norm(apart, axis=1).max() < 1e-12) is exact
         assert np.linalg.norm(apart, axis=1).mean() < 0.05
         corners = pair.target.vertices[pair.target.faces]
         assert np.linalg.det(corners).sum() > 0

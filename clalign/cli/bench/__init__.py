@@ -8,6 +8,7 @@ from clalign.cli.bench.accuracy import add_parser as add_accuracy
 from clalign.cli.bench.accuracy import add_study
 from clalign.cli.bench.collection import add_parser as add_collection
 from clalign.cli.bench.confidence import add_parser as add_confidence
+from clalign.cli.bench.signs import add_parser as add_signs
 from clalign.cli.bench.speed import add_forecast, add_kernels, add_pair, add_scale
 
 
@@ -21,6 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         add_accuracy,
         add_study,
         add_confidence,
+        add_signs,
         add_collection,
         add_kernels,
         add_pair,
