@@ -25,6 +25,7 @@ from clalign.maps.point_maps import PointMaps, check_map, write_map
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.stored import mesh_arrays, mesh_facts, stored_mesh
 from clalign.options import Options
+from clalign.partial.partiality import Partiality
 from clalign.storage.files import write_json
 from clalign.storage.folders import atomic_folder, recover
 
@@ -70,7 +71,7 @@ class Correspondence:
     target_of_source : (file_count_x,) int64, the target vertex of every source vertex; -1 for one that is left out.
     source_of_target : (file_count_y,) int64, the source vertex of every target vertex; -1 for one that is left out.
     functional_map : (k_y, k_x) float64, C: coefficients of a function on X to those of its image on Y (Eq. 13).
-    rotation : (d, d) float64, R, banded and nearly orthogonal (Eq. 20).
+    rotation : (d, d) float64, R, banded and nearly orthogonal (Eq. 20); (d_x, d_y) where one mesh is a part.
     source_basis, target_basis : LBO eigenfunctions of both meshes.
     source_scale_invariant, target_scale_invariant : scale-invariant eigenfunctions; the signs that the search found are
         already in those of the source.
@@ -91,6 +92,7 @@ class Correspondence:
     status : how the optimisation of R ended: converged, noise floor, budget, failed, not run, or interrupted (Ctrl-C).
     landmarks : what became of each landmark that the user gave: its name, its vertices in both files ("source",
         "target"), the distance from the map's image in sqrt(area), and whether it was "used" and kept exactly.
+    part : which mesh was matched as a part of the other, and how; None for two wholes.
     method : version of the method, which counts changes after which the same input gives another map.
 
     Raises
@@ -127,6 +129,7 @@ class Correspondence:
     status: str = ""
     method: int = METHOD_VERSION
     landmarks: tuple[dict[str, Any], ...] = ()
+    part: Partiality | None = None
 
     def __post_init__(self) -> None:
         source, target = self.source, self.target
@@ -148,7 +151,7 @@ class Correspondence:
     @property
     def target_aligned(self) -> NDArray[np.float64]:
         """(n_y, d) those of the target turned towards the source's, Ψ̃Rᵀ; Ψ̃ as it is for a one-sided match (Eq. 18)."""
-        functions = self.target_scale_invariant.functions[:, : len(self.rotation)]
+        functions = self.target_scale_invariant.functions[:, : self.rotation.shape[1]]
         return functions if self.options.alignment.sides == "one" else functions @ self.rotation.T
 
     @property
@@ -210,6 +213,7 @@ class Correspondence:
             "status": self.status,
             "method": self.method,
             "landmarks": [dict(each) for each in self.landmarks],
+            "part": None if self.part is None else self.part.as_dict(),
             "losses": {name: finite_or_none(value) for name, value in self.losses.items()},
             "counts": self._counts(),
             "timings": {name: finite_or_none(value) for name, value in self.timings.items()},
@@ -376,6 +380,7 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         status=str(facts.get("status", "")),
         method=int(facts.get("method", 0)),
         landmarks=tuple(facts.get("landmarks", ())),
+        part=Partiality(**facts["part"]) if facts.get("part") else None,
     )
 
 

@@ -219,17 +219,35 @@ class ReadoutOptions:
     refine : between search and alignment: ZoomOut by several schedules, of which every patch of the surface takes the
         best ("patches"), the best one as a whole ("zoomout"), or "none".
     steps : two-way steps in the scale-invariant basis after the alignment, and before it unless `refine` is "patches".
+    joint : after these, if there are any, one step more in the Laplace–Beltrami and the scale-invariant basis jointly.
     subvertex : also give every match as a point in a face.
     """
 
     readout: Readout = "aligned"
     refine: Literal["none", "zoomout", "patches"] = "patches"
     steps: int = 2
+    joint: bool = False
     subvertex: bool = False
 
     def __post_init__(self) -> None:
         _check_choices("readout", self)
         _not_negative("readout", self, "steps")
+
+
+@dataclass(frozen=True)
+class PartialOptions:
+    """Matching a part with a whole.
+
+    part : which mesh is a part of the other: "source", "target", "none", or "auto", by boundaries, areas, and whether
+        one is found on the other.
+    scale : "same", the files have one unit of length, or "auto", which tries that first and then other factors.
+    """
+
+    part: Literal["auto", "none", "source", "target"] = "auto"
+    scale: Literal["auto", "same"] = "auto"
+
+    def __post_init__(self) -> None:
+        _check_choices("partial", self)
 
 
 @dataclass(frozen=True)
@@ -265,6 +283,7 @@ class Options:
     search: SearchOptions = field(default_factory=SearchOptions)
     alignment: AlignmentOptions = field(default_factory=AlignmentOptions)
     readout: ReadoutOptions = field(default_factory=ReadoutOptions)
+    partial: PartialOptions = field(default_factory=PartialOptions)
     engine: EngineOptions = field(default_factory=EngineOptions)
     rules: Rules = field(default_factory=Rules)
     seed: int = 0

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
+from clalign.part_rules import PartRules
+
 PointwiseKind = Literal["curvatures", "signatures", "oriented"]
 
 
@@ -399,3 +401,4 @@ class Rules:
     alignment: AlignmentRules = field(default_factory=AlignmentRules)
     judgement: JudgementRules = field(default_factory=JudgementRules)
     collection: CollectionRules = field(default_factory=CollectionRules)
+    parts: PartRules = field(default_factory=PartRules)

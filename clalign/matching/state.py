@@ -65,6 +65,7 @@ class MatchState:
     aligned : R after the optimisation.
     functional_map : (k, k) C of R (Eq. 11, 26).
     steps : two-way steps of the read-out that have been made.
+    joined : the step in both bases has been made.
     points : of the target, for every source vertex; None without the precise read-out.
     interrupted : Ctrl-C cut short what was left.
     """
@@ -87,6 +88,7 @@ class MatchState:
     aligned: AlignedRotation | None = None
     functional_map: NDArray[np.float64] | None = None
     steps: int = 0
+    joined: bool = False
     points: SurfacePoints | None = None
     interrupted: bool = False
 
@@ -123,5 +125,10 @@ class MatchState:
 
 
 def wanted_sign(state: MatchState) -> float:
+    """Return the sign of the orientation that a match is to have; see `orientation_sign`."""
+    return orientation_sign(state.options)
+
+
+def orientation_sign(options: Options) -> float:
     """Return +1 where the orientation is to be kept, −1 where it is to be reversed, 0 where it is free."""
-    return {"preserving": 1.0, "reversing": -1.0, "any": 0.0}[state.options.search.orientation]
+    return {"preserving": 1.0, "reversing": -1.0, "any": 0.0}[options.search.orientation]

@@ -178,6 +178,40 @@ def two_way_step(
     return point_maps(x, y, orders, maps, backend), embedded
 
 
+def joint_step(
+    source: Shape, target: Shape, spectra: BoundSpectra, size: int, maps: PointMaps, backend: Backend
+) -> tuple[PointMaps, tuple[NDArray[np.floating], NDArray[np.floating]]]:
+    """Return the maps after a two-way step in two bases side by side, and the embeddings, on the host.
+
+    What the metric of one basis passes over the other sees: thin parts have many scale-invariant functions, broad ones
+    few. Each basis has a functional map and singular values of its own.
+
+    Parameters
+    ----------
+    source, target : shapes with as many Laplace–Beltrami functions as there are.
+    spectra : the scale-invariant functions.
+    size : at most so many Laplace–Beltrami functions are used.
+    """
+    count = min(size, source.basis.count, target.basis.count)
+    embedded = [_on_host(spectra, maps, backend)]
+    # Brought to the backend when the other basis is embedded, and let go of before matches are looked for.
+    low = BoundSpectra.of(source.basis.head(count), target.basis.head(count), backend).with_given(source, target)
+    embedded.append(_on_host(low, maps, backend))
+    del low
+    x, y = (np.concatenate(sides, axis=1) for sides in zip(*embedded, strict=True))
+    orders = source.order, target.order
+    first, second = (backend.array(side[order.vertices]) for side, order in zip((x, y), orders, strict=True))
+    return point_maps(first, second, orders, maps, backend), (x, y)
+
+
+def _on_host(
+    spectra: BoundSpectra, maps: PointMaps, backend: Backend
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Return the embeddings of a two-way step, (n_x, d) and (n_y, d)."""
+    x, y = spectra.weighted(spectra.functional_map(maps, backend), backend)
+    return backend.numpy(x), backend.numpy(y)
+
+
 def two_way_steps(spectra: BoundSpectra, maps: PointMaps, steps: int, orders: Orders, backend: Backend) -> PointMaps:
     """Return the maps after `steps` two-way steps among all vertices."""
     for _ in range(steps):
