@@ -219,12 +219,14 @@ class ReadoutOptions:
     refine : between search and alignment: ZoomOut by several schedules, of which every patch of the surface takes the
         best ("patches"), the best one as a whole ("zoomout"), or "none".
     steps : two-way steps in the scale-invariant basis after the alignment, and before it unless `refine` is "patches".
+    joint : after these, if there are any, one step more in the Laplace–Beltrami and the scale-invariant basis jointly.
     subvertex : also give every match as a point in a face.
     """
 
     readout: Readout = "aligned"
     refine: Literal["none", "zoomout", "patches"] = "patches"
     steps: int = 2
+    joint: bool = False
     subvertex: bool = False
 
     def __post_init__(self) -> None:

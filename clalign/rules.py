@@ -3,7 +3,8 @@
 Rules are passed down as arguments, written to ``result.json`` with the options, and varied by the study like options:
 ``--set rules.search.finalists=32``. What is not here guards floating-point arithmetic, or chooses between ways to
 compute the same; ``maps/nearest.py`` and ``maps/inverted_file.py`` say from which size on, and how, nearest neighbours
-are approximated.
+are approximated, ``geometry/heat.py`` from which on distances are marched, and the modules of ``mesh/`` how damaged
+files are read.
 """
 
 from __future__ import annotations
@@ -49,6 +50,44 @@ class Levels:
     def last(self) -> Level:
         """The step with which it ends."""
         return Level(self.sizes[-1], self.queries, self.points)
+
+
+@dataclass(frozen=True)
+class ShapeRules:
+    """Descriptors of one shape.
+
+    oriented_functions : functions that the orientation tensor is computed for: more than any step looks at would only
+        cost.
+    signatures : heat kernel signatures, at times in equal ratios ...
+    first_time, last_time : ... from one to the other, in units of area: before the first they tell triangulations
+        apart, after the last all points of a body are alike.
+    curvature_quantile : larger curvatures, of slivers and spikes, are cut to this quantile of their size ...
+    curvature_time : ... before curvature is diffused for so long, in units of area, which forgets what is finer than
+        about a twentieth of the size of a body.
+    """
+
+    oriented_functions: int = 30
+    signatures: int = 6
+    first_time: float = 0.002
+    last_time: float = 0.05
+    curvature_quantile: float = 0.98
+    curvature_time: float = 0.001
+
+
+@dataclass(frozen=True)
+class StartRules:
+    """The map that shapes show as they lie in space.
+
+    normals : two vertices at one place whose normals are at right angles count as sqrt(2) times this far apart, in
+        sqrt(area).
+    rigid_steps : of iterated closest points, at most.
+    trimmed : share of the vertices, the closest ones, that a rigid motion is fitted to: what moved otherwise is left
+        out.
+    """
+
+    normals: float = 0.1
+    rigid_steps: int = 50
+    trimmed: float = 0.7
 
 
 @dataclass(frozen=True)
@@ -136,6 +175,14 @@ class SearchRules:
     fine : the fine ZoomOut steps.
     least_orientation : a map below is ranked behind every one above.
     distinct : mean geodesic distance from which on two maps are different ones, in units of sqrt(area).
+    distance_floor : added to the sum of two distances that a difference of distances is compared with, in units of
+        sqrt(area): about the spacing of the samples that distances lead to.
+    given_floor : added to the difference of a user's descriptors, relative to their spread: less is noise, and a map
+        without any must not have a score of 0.
+    given_power : times their weight, the power of that difference in the score: at the usual weight of 0.25 it counts
+        as two of the shapes' own differences do.
+    first_given : functions of the map that sends samples to those with the most similar descriptors of the user, and
+        the samples.
     """
 
     oriented: TreeRules = TreeRules(9, (16, 18, 20), strengths=(0.5, 1.0), least_orientation=0.2, most=120)
@@ -163,16 +210,22 @@ class SearchRules:
     fine: Levels = Levels((45, 50, 56, 63, 71, 80, 90, 100, 110, 120), 500, 1000)
     least_orientation: float = 0.5
     distinct: float = 0.05
+    distance_floor: float = 0.05
+    given_floor: float = 0.05
+    given_power: float = 8.0
+    first_given: Level = Level(16, 200, 600)
 
 
 @dataclass(frozen=True)
 class RivalRules:
     """The choice among the best candidates of a search in doubt, after they are grown.
 
-    doubtful : rivals are grown where the confidence of the search is below: of 40 warped pairs the search was wrong on
-        six, always below 0.3.
+    doubtful : rivals are grown where the chosen map's orientation fails, or where the confidence of the search is
+        below: of 40 warped pairs the search was wrong on six, always below 0.3.
     exact : or where its score is below, which only an exact copy of the source reaches. Its samples are images of each
         other under the identity, but not under a symmetry that is as exact, so that the scores cannot be compared.
+    rounded : or where even a rival's score is below, as only symmetries of a body reach: five differences of a few per
+        cent each, which is what samples round them to. A person's left and right have 1e-6.
     slack : candidates with a score above so many times the least ...
     resolution : ... or so many times this, where that is more, are no rivals: scores of exact maps that samples round.
     most : rivals grown at most.
@@ -185,6 +238,7 @@ class RivalRules:
 
     doubtful: float = 0.5
     exact: float = 1e-12
+    rounded: float = 1e-7
     slack: float = 4.0
     resolution: float = 1e-6
     most: int = 6
@@ -338,6 +392,8 @@ class LandmarkRules:
 class Rules:
     """All rules; see each group."""
 
+    shape: ShapeRules = field(default_factory=ShapeRules)
+    start: StartRules = field(default_factory=StartRules)
     search: SearchRules = field(default_factory=SearchRules)
     rivals: RivalRules = field(default_factory=RivalRules)
     landmarks: LandmarkRules = field(default_factory=LandmarkRules)

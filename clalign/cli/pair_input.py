@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add ``--start``, ``--landmarks``, ``--landmark-tolerance`` and ``--component``."""
+    """Add ``--start``, ``--landmarks``, ``--descriptors`` with what belongs to them, and ``--component``."""
     parser.add_argument(
         "--start",
         metavar="MAP",
@@ -36,6 +36,19 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         help="how far landmarks may be off, in sqrt(area); above 0 none is kept exactly (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--descriptors",
+        metavar="FILE",
+        nargs=2,
+        help="after the meshes; pointwise descriptors of source and target: .npy or text, one row a vertex, column i "
+        "the same quantity on both",
+    )
+    parser.add_argument(
+        "--descriptor-weight",
+        metavar="W",
+        type=float,
+        help="what their squared distances count, relative to those of the eigenfunctions (default: 0.25)",
     )
     parser.add_argument(
         "--component",
@@ -67,6 +80,8 @@ class PairInput:
     start : what `clalign.matching.start.starting_map` takes as text; None for a search.
     landmarks : files.
     tolerance : of the landmarks, in sqrt(area).
+    descriptors : files of source and target, or none.
+    weight : of the descriptors; None for the usual one.
     """
 
     source: Path
@@ -76,6 +91,8 @@ class PairInput:
     start: str | None = None
     landmarks: tuple[str, ...] = ()
     tolerance: float = 0.0
+    descriptors: tuple[str, ...] = ()
+    weight: float | None = None
 
     @staticmethod
     def of(args: argparse.Namespace) -> PairInput:
@@ -84,12 +101,22 @@ class PairInput:
         Raises
         ------
         OptionError
-            ``--component`` is no number, or a tolerance is given without landmarks.
+            ``--component`` is no number, or a tolerance is given without landmarks, a weight without descriptors.
         """
         if args.landmark_tolerance and not args.landmarks:
             raise OptionError("--landmark-tolerance belongs to --landmarks FILE")
-        components, landmarks = chosen_components(args.component), tuple(args.landmarks)
-        return PairInput(args.source, args.target, *components, args.start, landmarks, args.landmark_tolerance)
+        if args.descriptor_weight is not None and not args.descriptors:
+            raise OptionError("--descriptor-weight belongs to --descriptors FILE FILE")
+        return PairInput(
+            args.source,
+            args.target,
+            *chosen_components(args.component),
+            start=args.start,
+            landmarks=tuple(args.landmarks),
+            tolerance=args.landmark_tolerance,
+            descriptors=tuple(args.descriptors or ()),
+            weight=args.descriptor_weight,
+        )
 
     def meshes(self, *, strict: bool) -> tuple[Mesh, Mesh]:
         """Read both files."""
@@ -99,8 +126,15 @@ class PairInput:
         return source, load_mesh(self.target, strict=strict, component=self.target_component)
 
     def known(self, source: Mesh, target: Mesh) -> dict[str, Any]:
-        """Return the arguments of `clalign.match` that say what is known, with the files of landmarks read."""
+        """Return the arguments of `clalign.match` that say what is known, with their files read."""
         from clalign.mesh.landmarks import landmarks_of
 
         landmarks = landmarks_of(self.landmarks, source, target, self.tolerance) if self.landmarks else None
-        return {"start": self.start, "landmarks": landmarks}
+        known: dict[str, Any] = {"start": self.start, "landmarks": landmarks}
+        if self.descriptors:
+            from clalign.transfer.value_files import read_values
+
+            known["descriptors"] = tuple(read_values(path) for path in self.descriptors)
+        if self.weight is not None:
+            known["descriptor_weight"] = self.weight
+        return known
