@@ -6,6 +6,7 @@ its place in `Correspondence`) and ``result.json`` (everything else).
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import warnings
@@ -91,6 +92,7 @@ class Correspondence:
     status : how the optimisation of R ended: converged, noise floor, budget, failed, not run, or interrupted (Ctrl-C).
     landmarks : what became of each landmark that the user gave: its name, its vertices in both files ("source",
         "target"), the distance from the map's image in sqrt(area), and whether it was "used" and kept exactly.
+    shown_map : which map this is, 0 for the chosen one; see `with_map`.
     method : version of the method, which counts changes after which the same input gives another map.
 
     Raises
@@ -127,6 +129,7 @@ class Correspondence:
     status: str = ""
     method: int = METHOD_VERSION
     landmarks: tuple[dict[str, Any], ...] = ()
+    shown_map: int = 0
 
     def __post_init__(self) -> None:
         source, target = self.source, self.target
@@ -196,6 +199,41 @@ class Correspondence:
 
         return str(clalign.notebook_html(self))
 
+    def with_map(self, number: int) -> Correspondence:
+        """Return the result with the maps of another alternative in the place of the chosen ones.
+
+        C, R, the eigenfunctions' signs and the distortion remain those of the chosen map and do not belong to it: what
+        needs them asks for a match that starts from the alternative (``start=result.with_map(n)``).
+
+        Parameters
+        ----------
+        number : of the alternative, from 1 for the best; 0 returns the result itself.
+
+        Raises
+        ------
+        ResultError
+            The result has no such alternative.
+        """
+        if number == 0:
+            return self
+        if not 1 <= number <= len(self.alternatives):
+            count = len(self.alternatives)
+            kept = f"alternatives 1 to {count}" if count > 1 else ("alternative 1 alone" if count else "none")
+            raise ResultError(
+                f"there is no map {number}: the result keeps {kept} (match with --alternatives N to keep more)"
+            )
+        other = self.alternatives[number - 1]
+        return dataclasses.replace(
+            self,
+            target_of_source=other.target_of_source,
+            source_of_target=other.source_of_target,
+            orientation=other.orientation,
+            score=other.score,
+            source_faces=None,
+            source_barycentric=None,
+            shown_map=number,
+        )
+
     def facts(self) -> dict[str, Any]:
         """Return everything but the arrays as plain values: the content of ``result.json``."""
         return {
@@ -248,8 +286,11 @@ class Correspondence:
         Raises
         ------
         ResultError
-            The folder exists and may not be replaced, or the disk refused; what was there before is untouched.
+            The folder exists and may not be replaced, the disk refused (what was there before is untouched), or this is
+            an alternative of another result.
         """
+        if self.shown_map:
+            raise ResultError(f"this is alternative {self.shown_map} of a result; save the result itself")
         with atomic_folder(Path(folder), FACTS_FILE, force=force) as unfinished:
             write_map(unfinished / FORWARD_FILE, self.target_of_source)
             write_map(unfinished / BACKWARD_FILE, self.source_of_target)

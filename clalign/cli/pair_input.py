@@ -22,6 +22,13 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
         "known), a result folder, 'extrinsic' for shapes that lie on each other, or 'rigid' for nearly so",
     )
     parser.add_argument(
+        "--start-map",
+        metavar="N",
+        type=int,
+        default=0,
+        help="with --start RESULT: from its alternative N, counted from 1 for the best",
+    )
+    parser.add_argument(
         "--landmarks",
         metavar="FILE",
         nargs="+",
@@ -65,6 +72,7 @@ class PairInput:
     """Two mesh files, which piece of each is meant, and what is known of the map between them.
 
     start : what `clalign.matching.start.starting_map` takes as text; None for a search.
+    start_map : an alternative of the result that `start` names; 0 for its chosen map.
     landmarks : files.
     tolerance : of the landmarks, in sqrt(area).
     """
@@ -76,6 +84,7 @@ class PairInput:
     start: str | None = None
     landmarks: tuple[str, ...] = ()
     tolerance: float = 0.0
+    start_map: int = 0
 
     @staticmethod
     def of(args: argparse.Namespace) -> PairInput:
@@ -84,12 +93,16 @@ class PairInput:
         Raises
         ------
         OptionError
-            ``--component`` is no number, or a tolerance is given without landmarks.
+            ``--component`` is no number, or a tolerance is given without landmarks, or an alternative without a start.
         """
         if args.landmark_tolerance and not args.landmarks:
             raise OptionError("--landmark-tolerance belongs to --landmarks FILE")
+        if args.start_map and args.start is None:
+            raise OptionError("--start-map N belongs to --start RESULT")
         components, landmarks = chosen_components(args.component), tuple(args.landmarks)
-        return PairInput(args.source, args.target, *components, args.start, landmarks, args.landmark_tolerance)
+        return PairInput(
+            args.source, args.target, *components, args.start, landmarks, args.landmark_tolerance, args.start_map
+        )
 
     def meshes(self, *, strict: bool) -> tuple[Mesh, Mesh]:
         """Read both files."""
@@ -103,4 +116,9 @@ class PairInput:
         from clalign.mesh.landmarks import landmarks_of
 
         landmarks = landmarks_of(self.landmarks, source, target, self.tolerance) if self.landmarks else None
-        return {"start": self.start, "landmarks": landmarks}
+        start: Any = self.start
+        if self.start_map:
+            from clalign.correspondence import Correspondence
+
+            start = Correspondence.load(self.start or "").with_map(self.start_map)
+        return {"start": start, "landmarks": landmarks}

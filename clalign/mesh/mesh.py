@@ -71,6 +71,11 @@ class Mesh:
         """(m, 3) corners of the triangles, numbered as in the file."""
         return self.file_index[self.faces]
 
+    @property
+    def all_file_faces(self) -> NDArray[np.int64]:
+        """(m + q, 3) `file_faces`, and after them the triangles of loose pieces."""
+        return np.concatenate([self.file_faces, self.loose.faces])
+
     def file_vertices(self) -> NDArray[np.float64]:
         """(n, 3) positions of the vertices in the file's own unit and place."""
         return self.vertices * self.scale + self.offset

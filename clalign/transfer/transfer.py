@@ -73,6 +73,8 @@ def carry_values(
     if route == "functional":
         if origin != "source":
             raise InputError("C leads from the source to the target; carry from the source, or use route 'points'")
+        if correspondence.shown_map:
+            raise InputError("C belongs to the chosen map, not to its alternatives; use route 'points'")
         known = np.isfinite(rows)
         carried = _through_functional_map(correspondence, _filled_in(here, rows, known))
         # One value that is missing would else be missing in every coefficient, and so everywhere.

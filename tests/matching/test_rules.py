@@ -67,8 +67,8 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
         _with_landmarks(state, required(state.maps))
         found = required(state.found)
         in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), RivalRules(doubtful=0.0))
-    # Judged in the result, and read by collections only.
-    elsewhere = {"JudgementRules", "CollectionRules", "Rules"}
+    # Judged in the result, and read by collections or registrations only.
+    elsewhere = {"JudgementRules", "CollectionRules", "RegistrationRules", "Rules"}
     expected = {
         f"{each.__name__}.{field.name}"
         for each in CLASSES
