@@ -333,13 +333,43 @@ class LandmarkRules:
 
 
 @dataclass(frozen=True)
+class RelationRules:
+    """How maps that are equally good are told apart in words.
+
+    most : candidates of the search that are looked at.
+    functions, samples : of the source, in which the map between them is looked at.
+    moved : a point moves if it goes farther.
+    everything : a map that moves so much of the surface moves all of it but the middle.
+    back : everything is back if points are at most so far from their place on average, in sqrt(area), ...
+    nearly_back : ... or so many times what one repetition moves them.
+    highest_order : repetitions tried.
+    equal : a map is as good as the chosen one if its score is at most so many times the other's.
+    one_way : a mirror image exchanges two sides in a direction that so much of the squared movement goes along.
+    one_way_only : the same where the orientation is kept; a half turn has less.
+    no_way : a turn is about an axis along which no more of it goes.
+    """
+
+    most: int = 12
+    functions: int = 40
+    samples: int = 400
+    moved: float = 0.1
+    everything: float = 0.5
+    back: float = 0.05
+    nearly_back: float = 0.25
+    highest_order: int = 12
+    equal: float = 2.0
+    one_way: float = 0.7
+    one_way_only: float = 0.97
+    no_way: float = 0.12
+
+
+@dataclass(frozen=True)
 class RegistrationRules:
     """How the source is laid on the target.
 
-    match : over how many edges the pull to the matches gives way to stiffness. With 3 the registered vertices were 25
-        to 30 % nearer to the truth than the map's on two pairs; with 1.5 or 8, 20 %.
-    surface : the same of the pull to the surface, for the solves one after the other: ever closer.
-    solves : how many there are with each of these.
+    match : edges over which the pull to the matches gives way to stiffness. With 3 registered vertices were 25 to 30 %
+        nearer to the truth than the map's on two pairs; with 1.5 or 8, 20 %.
+    surface, solves : the same of the pull to the surface, ever closer, and how many solves there are with each.
     rim : vertices of the source's boundary whose matches are within so many edges of the target's stay on that.
     carried_by : a part that is missing on the target first moves along with so many vertices around it.
     filling : solves after which such a part has found its shape.
@@ -368,4 +398,5 @@ class Rules:
     alignment: AlignmentRules = field(default_factory=AlignmentRules)
     judgement: JudgementRules = field(default_factory=JudgementRules)
     collection: CollectionRules = field(default_factory=CollectionRules)
+    relations: RelationRules = field(default_factory=RelationRules)
     registration: RegistrationRules = field(default_factory=RegistrationRules)

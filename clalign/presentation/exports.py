@@ -20,9 +20,9 @@ from scipy.spatial import cKDTree
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
 from clalign.geometry.operators import stiffness
+from clalign.mesh.front import Up, front_view
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.writing import save_mesh
-from clalign.presentation.camera import Up, front_view
 from clalign.presentation.picture import pair_colours
 from clalign.presentation.raster import write_png
 from clalign.storage.files import visible

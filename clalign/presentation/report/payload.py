@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Alternative, Correspondence, finite_or_none
 from clalign.evaluation.errors import Evaluation
-from clalign.presentation.camera import Up
+from clalign.mesh.front import Up
 from clalign.presentation.picture import pair_views
 from clalign.transfer.colours import RAMPS, UNMATCHED, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map
