@@ -84,9 +84,14 @@ class SurfaceOptions:
 
     strict : refuse a mesh that is no surface as it stands (edges with three faces, sheets that touch in a point, open
         seams, several pieces); otherwise it is read as the surface that was most likely meant, with a note.
+    component : the piece that is matched of a file with several, from 1 for the largest; 0 for the one that stands out.
     """
 
     strict: bool = False
+    component: int = 0
+
+    def __post_init__(self) -> None:
+        _not_negative("surface", self, "component")
 
 
 @dataclass(frozen=True)

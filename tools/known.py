@@ -4,7 +4,7 @@
     python tools/known.py starts HUMANS
 
 HUMANS is a folder of posed humans with one connectivity. Both match with the preset "fast" and print a Markdown
-table. A map is right if its mean error is below 0.1 sqrt(area): between the symmetries of these shapes it is several times that.
+table. A map is right if its mean error is below 0.1 sqrt(area): between the symmetries it is several times that.
 """
 
 from __future__ import annotations

@@ -207,7 +207,7 @@ def _run(
     from clalign.correspondence import FACTS_FILE
 
     with missed_interrupts() as raise_missed:
-        source, target = given.meshes(strict=options.surface.strict)
+        source, target = given.meshes(options.surface)
         known = given.known(source, target)
         truths = truths_of(source, target)
         device = device_label(options)

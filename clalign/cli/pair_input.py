@@ -11,6 +11,7 @@ from clalign.errors import OptionError
 
 if TYPE_CHECKING:
     from clalign.mesh.mesh import Mesh
+    from clalign.options import SurfaceOptions
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,12 +105,13 @@ class PairInput:
             args.source, args.target, *components, args.start, landmarks, args.landmark_tolerance, args.start_map
         )
 
-    def meshes(self, *, strict: bool) -> tuple[Mesh, Mesh]:
-        """Read both files."""
+    def meshes(self, options: SurfaceOptions) -> tuple[Mesh, Mesh]:
+        """Read both files; what ``--component`` says counts before the options."""
         from clalign.mesh.mesh import load_mesh
 
-        source = load_mesh(self.source, strict=strict, component=self.source_component)
-        return source, load_mesh(self.target, strict=strict, component=self.target_component)
+        of_all = options.component or None
+        source = load_mesh(self.source, strict=options.strict, component=self.source_component or of_all)
+        return source, load_mesh(self.target, strict=options.strict, component=self.target_component or of_all)
 
     def known(self, source: Mesh, target: Mesh) -> dict[str, Any]:
         """Return the arguments of `clalign.match` that say what is known, with the files of landmarks read."""

@@ -128,7 +128,7 @@ def _matched(args: argparse.Namespace, columns: dict[str, NDArray], terminal: Te
 
     given = PairInput.of(args)
     with missed_interrupts() as raise_missed:
-        source, target = given.meshes(strict=options.surface.strict)
+        source, target = given.meshes(options.surface)
         known = given.known(source, target)
         keep_meshes((source, target), [args.out])
         check_files([args.out], force=args.force)

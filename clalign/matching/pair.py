@@ -73,8 +73,8 @@ def match(
     chosen, cache = given_options(options), given_cache(cache)
     clock = Clock(progress)
     with clock.stage("read"):
-        strict = chosen.surface.strict
-        meshes = as_mesh(source, "source", strict=strict), as_mesh(target, "target", strict=strict)
+        reading: dict[str, Any] = {"strict": chosen.surface.strict, "component": chosen.surface.component or None}
+        meshes = as_mesh(source, "source", **reading), as_mesh(target, "target", **reading)
         first = None if start is None else starting_map(start, *meshes)
         known = None if landmarks is None else landmarks_of(landmarks, *meshes, landmark_tolerance)
     with clock.stage("device"):

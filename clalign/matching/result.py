@@ -87,7 +87,7 @@ def _with_landmarks(state: MatchState, maps: PointMaps) -> tuple[PointMaps, tupl
     landmarks = state.landmarks
     if landmarks is None:
         return maps, ()
-    off = disagreement(state.target, maps, landmarks)
+    off = disagreement(state.source, state.target, maps, landmarks)
     agreed = off <= state.options.rules.landmarks.contradicted + landmarks.tolerance
     source, target = state.source.mesh, state.target.mesh
     fates = tuple(

@@ -258,7 +258,6 @@ def test_landmarks_are_clicked_saved_and_understood(
     page.keyboard.press("Escape")
     assert page.inner_text("#landmark-state") == "Click a point on either shape."
     page.click("button[aria-label='Remove p3']")
-    page.screenshot(path=tmp_path / "landmarks.png", full_page=True)
     rows = page.locator("#landmark-list tbody tr")
     assert [rows.nth(i).locator("td").nth(k).inner_text() for i in range(2) for k in (1, 2)] == [
         str(number) for pair in clicked[:2] for number in pair
@@ -299,7 +298,6 @@ def test_this_one_writes_the_command_that_takes_an_alternative(
     page = opened(folder / "report.html", width=1100, height=900)
     assert page.inner_text("#equals") == f"{words} (alternative 1)"
     page.click("button[aria-label='Take alternative 1']")
-    page.screenshot(path=tmp_path / "this-one.png", full_page=True)
     commands = [shlex.split(text) for text in page.locator("#way-to-map code").all_inner_texts()]
     args = build_parser().parse_args(commands[0][1:])
     assert (args.source, args.start, args.start_map) == (tmp_path / "a body's scan.ply", str(folder), 1)
