@@ -35,6 +35,7 @@ from clalign.maps.point_maps import check_map, write_map
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.stored import mesh_arrays, mesh_facts, stored_mesh
 from clalign.options import Options
+from clalign.partial.partiality import Partiality
 from clalign.storage.files import write_json
 from clalign.storage.folders import atomic_folder, recover
 
@@ -62,7 +63,7 @@ class Correspondence:
     target_of_source : (file_count_x,) int64, the target vertex of every source vertex; -1 for one that is left out.
     source_of_target : (file_count_y,) int64, the source vertex of every target vertex; -1 for one that is left out.
     functional_map : (k_y, k_x) float64, C: coefficients of a function on X to those of its image on Y (Eq. 13).
-    rotation : (d, d) float64, R, banded and nearly orthogonal (Eq. 20).
+    rotation : (d, d) float64, R, banded and nearly orthogonal (Eq. 20); (d_x, d_y) where one mesh is a part.
     source_basis, target_basis : LBO eigenfunctions of both meshes.
     source_scale_invariant, target_scale_invariant : scale-invariant eigenfunctions; the signs that the search found are
         already in those of the source.
@@ -86,6 +87,7 @@ class Correspondence:
     shown_map : which map this is, 0 for the chosen one; see `with_map`.
     equally_good : maps that are as good as the chosen one, as symmetries give them: the "relation" in words, whether it
         is "reversing", its "order" (or None), the share of the area "moved", and which "alternative" (or None) it is.
+    part : which mesh was matched as a part of the other, and how; None for two wholes.
     method : version of the method, which counts changes after which the same input gives another map.
 
     Raises
@@ -124,6 +126,7 @@ class Correspondence:
     landmarks: tuple[dict[str, Any], ...] = ()
     equally_good: tuple[dict[str, Any], ...] = ()
     shown_map: int = 0
+    part: Partiality | None = None
 
     def __post_init__(self) -> None:
         source, target = self.source, self.target
@@ -145,7 +148,7 @@ class Correspondence:
     @property
     def target_aligned(self) -> NDArray[np.float64]:
         """(n_y, d) those of the target turned towards the source's, Ψ̃Rᵀ; Ψ̃ as it is for a one-sided match (Eq. 18)."""
-        functions = self.target_scale_invariant.functions[:, : len(self.rotation)]
+        functions = self.target_scale_invariant.functions[:, : self.rotation.shape[1]]
         return functions if self.options.alignment.sides == "one" else functions @ self.rotation.T
 
     @property
@@ -196,13 +199,8 @@ class Correspondence:
     def with_map(self, number: int) -> Correspondence:
         """Return the result with the maps of an alternative, from 1 for the best, in the place of the chosen ones.
 
-        C, R, the eigenfunctions' signs and the distortion remain those of the chosen map: what needs those of the
-        alternative asks for a match that starts from it, ``start=result.with_map(n)``. 0 returns the result itself.
-
-        Raises
-        ------
-        ResultError
-            The result has no such alternative.
+        C, R and the distortion remain those of the chosen map; a match that starts from the alternative has its own,
+        ``start=result.with_map(n)``. 0 returns the result itself; ResultError if there is no such alternative.
         """
         if number == 0:
             return self
@@ -233,6 +231,7 @@ class Correspondence:
             "method": self.method,
             "landmarks": [dict(each) for each in self.landmarks],
             "equally_good": [dict(each) for each in self.equally_good],
+            "part": None if self.part is None else self.part.as_dict(),
             "losses": {name: finite_or_none(value) for name, value in self.losses.items()},
             "counts": self._counts(),
             "timings": {name: finite_or_none(value) for name, value in self.timings.items()},
@@ -384,6 +383,7 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         method=int(facts.get("method", 0)),
         landmarks=tuple(facts.get("landmarks", ())),
         equally_good=tuple(facts.get("equally_good", ())),
+        part=Partiality(**facts["part"]) if facts.get("part") else None,
     )
 
 

@@ -238,6 +238,22 @@ class ReadoutOptions:
 
 
 @dataclass(frozen=True)
+class PartialOptions:
+    """Matching a part with a whole.
+
+    part : which mesh is a part of the other: "source", "target", "none", or "auto", by boundaries, areas, and whether
+        one is found on the other.
+    scale : "same", the files have one unit of length, or "auto", which tries that first and then other factors.
+    """
+
+    part: Literal["auto", "none", "source", "target"] = "auto"
+    scale: Literal["auto", "same"] = "auto"
+
+    def __post_init__(self) -> None:
+        _check_choices("partial", self)
+
+
+@dataclass(frozen=True)
 class EngineOptions:
     """Where the arithmetic runs.
 
@@ -270,6 +286,7 @@ class Options:
     search: SearchOptions = field(default_factory=SearchOptions)
     alignment: AlignmentOptions = field(default_factory=AlignmentOptions)
     readout: ReadoutOptions = field(default_factory=ReadoutOptions)
+    partial: PartialOptions = field(default_factory=PartialOptions)
     engine: EngineOptions = field(default_factory=EngineOptions)
     rules: Rules = field(default_factory=Rules)
     seed: int = 0

@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
+from clalign.part_rules import PartRules
+
 PointwiseKind = Literal["curvatures", "signatures", "oriented"]
 
 
@@ -338,14 +340,11 @@ class RelationRules:
 
     most : candidates of the search that are looked at.
     functions, samples : of the source, in which the map between them is looked at.
-    moved : a point moves if it goes farther.
-    everything : a map that moves so much of the surface moves all of it but the middle.
-    back : everything is back if points are at most so far from their place on average, in sqrt(area), ...
-    nearly_back : ... or so many times what one repetition moves them.
-    highest_order : repetitions tried.
-    equal : a map is as good as the chosen one if its score is at most so many times the other's.
-    one_way : a mirror image exchanges two sides in a direction that so much of the squared movement goes along.
-    one_way_only : the same where the orientation is kept; a half turn has less.
+    moved, everything : a point moves if it goes farther; a map that moves so much of the area moves all but the middle.
+    back, nearly_back : all is back if points are at most so far away on average, or so many times what one step moves,
+    highest_order : after at most so many steps.
+    equal : a map is as good as the chosen one if its score is at most so many times that.
+    one_way, one_way_only : two sides are exchanged if so much of the movement goes one way (half turns have much).
     no_way : a turn is about an axis along which no more of it goes.
     """
 
@@ -367,13 +366,11 @@ class RelationRules:
 class RegistrationRules:
     """How the source is laid on the target.
 
-    match : edges over which the pull to the matches gives way to stiffness. With 3 registered vertices were 25 to 30 %
-        nearer to the truth than the map's on two pairs; with 1.5 or 8, 20 %.
+    match : edges over which the pull to the matches gives way to stiffness; 1.5 and 8 were less near to the truth.
     surface, solves : the same of the pull to the surface, ever closer, and how many solves there are with each.
     rim : vertices of the source's boundary whose matches are within so many edges of the target's stay on that.
-    carried_by : a part that is missing on the target first moves along with so many vertices around it.
-    filling : solves after which such a part has found its shape.
-    settling : solves after folds were taken out, which were made with no regard to stiffness.
+    carried_by, filling : a part that the target lacks moves along with so many vertices around it, then has solves.
+    settling : solves after folds were taken out.
     least_area : moves that leave a face less of its area, relative to the whole surface, are taken back.
     """
 
@@ -400,3 +397,4 @@ class Rules:
     collection: CollectionRules = field(default_factory=CollectionRules)
     relations: RelationRules = field(default_factory=RelationRules)
     registration: RegistrationRules = field(default_factory=RegistrationRules)
+    parts: PartRules = field(default_factory=PartRules)

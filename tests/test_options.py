@@ -21,7 +21,7 @@ from clalign.option_values import leaves
 from clalign.options import PRESETS, Options, given_options, odd_sizes
 
 KINDS = {name: kind for name, kind in leaves(Options()) if name != "seed"}
-NAMES = sorted(name for name in KINDS if name != "rules.refinement.schedules")
+NAMES = sorted(KINDS.keys() - {"rules.refinement.schedules", "rules.parts.growth.starts"})
 NUMBERS = [name for name in NAMES if KINDS[name] in (int, float)]
 
 

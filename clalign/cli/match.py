@@ -125,6 +125,17 @@ def add_method_arguments(parser: argparse.ArgumentParser) -> None:
         "--orientation", metavar="WORD", help="'preserving' (default), 'reversing' for mirrored maps, or 'any'"
     )
     parser.add_argument(
+        "--partial",
+        metavar="WORD",
+        nargs="?",
+        const="source",
+        help="after the meshes; which mesh is a part of the other: 'source' (also without a word), 'target', 'none' "
+        "for two wholes, or 'auto' (default), by boundaries and areas",
+    )
+    parser.add_argument(
+        "--scale", metavar="WORD", help="of a part: 'same' if both files have one unit, or 'auto' to find it (default)"
+    )
+    parser.add_argument(
         "--metric", metavar="NAME", help="'power' (default), 'regularized', 'euclidean', 'heat-kernel' or 'auto'"
     )
     parser.add_argument(
@@ -164,6 +175,8 @@ def options_from(args: argparse.Namespace) -> Options:
         "search.orientation": args.orientation,
         "search.alternatives": args.alternatives,
         "spectrum.metric": args.metric,
+        "partial.part": args.partial,
+        "partial.scale": args.scale,
         "surface.strict": True if args.strict else None,
     }
     changes = {name: value for name, value in named.items() if value is not None}
@@ -298,7 +311,8 @@ def _show_summary(result: Correspondence, evaluation: Evaluation | None, folder:
         confidence = f"{result.confidence:.2f} of 1"
     if not math.isnan(result.orientation):
         confidence += f"; orientation {result.orientation:+.2f} (+1 kept everywhere, -1 mirrored)"
-    rows = [("device", result.device), ("timings", stages), ("losses", losses), ("confidence", confidence)]
+    rows = [("device", result.device), ("timings", stages), ("losses", losses or "none: R was not optimised")]
+    rows.append(("confidence", confidence))
     if evaluation is not None:
         # Lengths are in sqrt(area); the literature prints them times 100.
         mean, median = 100 * evaluation.mean, 100 * evaluation.median

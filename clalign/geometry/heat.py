@@ -139,6 +139,11 @@ class FastMarching:
         """Return the (n,) distances from one vertex; zero there and nowhere negative."""
         return _checked_row(self._solver.compute_distance([[(int(vertex), [])]]), vertex, self._name)
 
+    def from_all(self, vertices: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the (n,) distances from the nearest of some vertices."""
+        sources: list[list[tuple[int, list[float]]]] = [[(int(vertex), [])] for vertex in vertices]
+        return _checked_row(self._solver.compute_distance(sources), int(vertices[0]), self._name)
+
 
 def _checked_row(values: Any, vertex: int, name: str) -> NDArray[np.float64]:
     distances: NDArray[np.float64] = np.asarray(values, dtype=np.float64)

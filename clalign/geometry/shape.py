@@ -16,7 +16,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from clalign.geometry.cache import ShapeCache, content_key
-from clalign.geometry.geodesics import DistanceFactors, farthest_point_geodesics, low_rank
+from clalign.geometry.geodesics import DistanceFactors, Sampler, farthest_point_geodesics, low_rank
 from clalign.geometry.heat import Geodesics
 from clalign.geometry.heat_process import HeatProcess
 from clalign.geometry.operators import (
@@ -189,13 +189,40 @@ def _spectra(
         weights, mass = stiffness(mesh.vertices, mesh.faces), lumped_mass(mesh.vertices, mesh.faces)
     operators = _Operators(weights, mass, gaussian_curvature(mesh.vertices, mesh.faces, mass))
     count = max(options.basis, options.refinement)
-
-    def compute() -> Spectrum:
-        return solve(operators.stiffness, mass, count, processor_count())
-
-    basis = _stored(cache, "basis", mesh, {"count": count, **_laplacian(options)}, Spectrum, compute)
+    basis = stored_basis(mesh, operators.stiffness, mass, count, cache, **_laplacian(options))
     smoothing = _smoothing(mesh, operators, options)
     return operators, smoothing, basis, _scale_invariant(mesh, operators, basis, options, smoothing, cache)
+
+
+def stored_basis(
+    mesh: Mesh,
+    weights: sparse.csr_matrix,
+    mass: NDArray[np.float64],
+    count: int,
+    cache: ShapeCache | None,
+    **names: str,
+) -> Spectrum:
+    """Return the Laplace–Beltrami eigenfunctions of a mesh, from the cache if they are there.
+
+    names : what else the operator depends on.
+    """
+
+    def compute() -> Spectrum:
+        return solve(weights, mass, count, processor_count())
+
+    return _stored(cache, "basis", mesh, {"count": count, **names}, Spectrum, compute)
+
+
+def stored_geodesics(
+    mesh: Mesh, search_samples: int, factor_samples: int, sampler: Sampler, cache: ShapeCache | None
+) -> Geodesics:
+    """Return what `farthest_point_geodesics` does, from the cache if it is there."""
+    values = {"search": search_samples, "factor": factor_samples}
+
+    def compute() -> Geodesics:
+        return farthest_point_geodesics(mesh, search_samples, factor_samples, sampler)
+
+    return _stored(cache, "geodesics", mesh, values, Geodesics, compute)
 
 
 def _laplacian(options: SpectrumOptions) -> dict[str, str]:
@@ -232,12 +259,7 @@ def _scale_invariant(
 
 
 def _distances(mesh: Mesh, options: GeodesicOptions, heat: HeatProcess, cache: ShapeCache | None) -> Geodesics:
-    values = {"search": options.search_samples, "factor": options.factor_samples}
-
-    def compute() -> Geodesics:
-        return farthest_point_geodesics(mesh, options.search_samples, options.factor_samples, heat.farthest_points)
-
-    return _stored(cache, "geodesics", mesh, values, Geodesics, compute)
+    return stored_geodesics(mesh, options.search_samples, options.factor_samples, heat.farthest_points, cache)
 
 
 def _stored(

@@ -32,7 +32,7 @@ class VertexStatus(IntEnum):
     """How a vertex of a file came to its match."""
 
     UNMATCHED = 0
-    """It has none: it is in no face, or part of a piece that was left out."""
+    """It has none: it is in no face, part of a piece that was left out, or not covered by the part that was matched."""
     MATCHED = 1
     """It lies on the surface that was matched."""
     CARRIED = 2
@@ -54,7 +54,7 @@ def file_maps(source: Mesh, target: Mesh, maps: PointMaps) -> PointMaps:
     Parameters
     ----------
     source, target : the surfaces.
-    maps : target_of_source (n_x,) and source_of_target (n_y,), vertices of the surfaces.
+    maps : target_of_source (n_x,) and source_of_target (n_y,), vertices of the surfaces; -1 for none.
 
     Returns
     -------
@@ -78,6 +78,8 @@ def _carried_matches(here: Mesh, there: Mesh, matches: NDArray[np.int64]) -> NDA
     found = np.empty(len(loose.vertices), dtype=np.int64)
     if not len(loose.vertices):
         return found
+    if not (matches >= 0).any():
+        return np.full_like(found, -1)
     places = carried(here, there, matches, loose.vertices)
     surface = cKDTree(there.vertices)
     for piece in range(int(loose.piece.max()) + 1):
@@ -108,14 +110,16 @@ def carried(here: Mesh, there: Mesh, matches: NDArray[np.int64], points: NDArray
     Parameters
     ----------
     here, there : the surfaces.
-    matches : (n,) int, the vertex of `there` for every vertex of `here`.
+    matches : (n,) int, the vertex of `there` for every vertex of `here`; those with -1 are passed over.
     points : (k, 3), in the unit and place of `here`.
 
     Returns
     -------
     (k, 3) float64, in the unit and place of `there`.
     """
-    distance, near = cKDTree(here.vertices).query(points, k=min(AROUND, here.n_vertices))
+    known = np.flatnonzero(matches >= 0)
+    distance, order = cKDTree(here.vertices[known]).query(points, k=min(AROUND, len(known)))
+    near = known[order]
     weight = 1.0 / (distance**2 + np.mean(distance, axis=1, keepdims=True) ** 2)
     weight /= weight.sum(axis=1, keepdims=True)
     mine, other = here.vertices[near], there.vertices[matches[near]]

@@ -11,10 +11,12 @@ from clalign.correspondence import Correspondence
 from clalign.ctrl_c import plain_interrupts
 from clalign.engine import open_backend
 from clalign.engine.backend import Backend
+from clalign.errors import OptionError
 from clalign.geometry.cache import ShapeCache, given_cache
 from clalign.geometry.shape import Shape, prepare_pair
 from clalign.geometry.workers import single_threaded_blas
 from clalign.matching.loop import Clock, Progress, run_stages
+from clalign.matching.parts import match_part, roles
 from clalign.matching.result import correspondence, warn_of_doubts
 from clalign.matching.start import starting_map
 from clalign.matching.state import MatchState
@@ -32,6 +34,7 @@ def match(
     start: Any = None,
     landmarks: Any = None,
     landmark_tolerance: float = 0.0,
+    partial: str | None = None,
     progress: Progress | None = None,
     cache: ShapeCache | None = None,
 ) -> Correspondence:
@@ -48,6 +51,8 @@ def match(
         `clalign.mesh.landmarks.landmarks_of`. They choose among candidate maps and, with three or more, start one;
         those that the final map agrees with are kept exactly, others are named in a warning.
     landmark_tolerance : how far landmarks may be off, in sqrt(area); above 0 none is kept exactly.
+    partial : which mesh is a part of the other, "source", "target", "none" or "auto", instead of what the options say;
+        see `PartialOptions`.
     progress : called as ``progress(stage, fraction, message)``, fraction in [0, 1] of the stage.
     cache : keeps what is computed of a single shape for later matches; None computes everything.
 
@@ -60,7 +65,7 @@ def match(
     Raises
     ------
     OptionError
-        `options` or `cache` is something else, such as a name.
+        `options` or `cache` is something else, such as a name, or `partial` comes with a start or landmarks.
     InputError
         The start or the landmarks do not fit the meshes.
     MeshError
@@ -71,6 +76,10 @@ def match(
         No usable OpenCL device (``engine.backend=reference`` needs none).
     """
     chosen, cache = given_options(options), given_cache(cache)
+    if partial is not None:
+        chosen = chosen.replace({"partial.part": partial})
+    if chosen.partial.part in ("source", "target") and (start is not None or landmarks is not None):
+        raise OptionError("a start or landmarks cannot be given for a part yet: leave them out, or partial=none")
     clock = Clock(progress)
     with clock.stage("read"):
         reading: dict[str, Any] = {"strict": chosen.surface.strict, "component": chosen.surface.component or None}
@@ -81,6 +90,11 @@ def match(
         backend = open_backend(chosen.engine)
         device = backend.describe() if chosen.engine.backend == "opencl" else None
         require_memory(meshes[0].n_vertices, meshes[1].n_vertices, chosen, device)
+    part = roles(*meshes, chosen) if first is None and known is None else None
+    if part is not None:
+        result = match_part(*meshes, part, backend, chosen, clock, cache)
+        if result is not None:
+            return result
     with clock.stage("prepare"):
         shapes = prepare_pair(*meshes, chosen, cache)
     return match_shapes(*shapes, backend, chosen, clock, landmarks=known, start_map=first)

@@ -6,6 +6,7 @@ import importlib.metadata
 import inspect
 import platform
 import warnings as python_warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,11 @@ from clalign.errors import ClalignWarning, ConfidenceWarning
 from clalign.geometry.shape import Shape
 from clalign.maps.file_maps import file_maps
 from clalign.maps.point_maps import PointMaps
-from clalign.matching.state import MatchState, required, wanted_sign
+from clalign.matching.state import MatchState, orientation_sign, required
 from clalign.mesh.mesh import Mesh
 from clalign.options import Options, odd_sizes
 from clalign.refinement.landmarks import disagreement, kept_exactly
 from clalign.refinement.relations import Relation, relation
-from clalign.rules import JudgementRules
 from clalign.search.score import facing, over
 
 PACKAGE = __name__.partition(".")[0]
@@ -67,7 +67,7 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
             *_contradicted(landmarks),
             *_remarks(state, options),
             *_failures(state),
-            *_doubts(state, options.rules.judgement),
+            *_doubts(state, options),
             *_said_of_equals(equally_good),
         ),
         equally_good=equally_good,
@@ -154,7 +154,7 @@ def _equally_good(state: MatchState, relations: list[Relation]) -> tuple[dict[st
         as_good = over(other.score, found.chosen.score) <= rules.relations.equal
         # Scores of exact copies are rounding, and cannot be compared.
         as_good |= found.chosen.score < exact.exact and other.score <= exact.resolution
-        passes = facing(np.array(other.orientation), wanted_sign(state)) > rules.search.least_orientation
+        passes = facing(np.array(other.orientation), orientation_sign(state.options)) > rules.search.least_orientation
         if as_good and passes:
             equals.append(
                 {
@@ -229,38 +229,53 @@ def warn_of_doubts(state: MatchState, options: Options, landmarks: tuple[dict[st
     """
     for texts, category in (
         ([*_failures(state), *_contradicted(landmarks)], ClalignWarning),
-        (_doubts(state, options.rules.judgement), ConfidenceWarning),
+        (_doubts(state, options), ConfidenceWarning),
     ):
-        for text in texts:
-            python_warnings.warn(text, category, stacklevel=_users_level())
+        raise_warnings(texts, category)
 
 
-def _doubts(state: MatchState, rules: JudgementRules) -> list[str]:
+def raise_warnings(texts: Sequence[str], category: type[ClalignWarning]) -> None:
+    """Raise some texts as Python warnings of the line outside this package that asked for a match."""
+    for text in texts:
+        python_warnings.warn(text, category, stacklevel=_users_level())
+
+
+def _doubts(state: MatchState, options: Options) -> list[str]:
     if state.found is None:
         return ["no search was made (search.method=random), so the map may be mirrored or wrong"]
-    doubts, orientation, confidence = [], state.found.chosen.orientation, state.found.confidence
-    wanted = facing(np.array(orientation), wanted_sign(state))
-    if wanted < -rules.low_orientation:
-        doubts.append(
-            f"orientation {orientation:+.2f}: against --orientation {state.options.search.orientation} the map is "
+    found, least = state.found, options.rules.judgement.low_orientation
+    return doubts(found.chosen.orientation, found.confidence, least, options, alternatives=bool(state.alternatives))
+
+
+def doubts(orientation: float, confidence: float, least: float, options: Options, *, alternatives: bool) -> list[str]:
+    """Return what puts a map in doubt.
+
+    Parameters
+    ----------
+    orientation, confidence : of the map.
+    least : orientation below which there is doubt.
+    options : the orientation that was asked for, and the confidence below which there is doubt.
+    alternatives : whether the result has some.
+    """
+    said = []
+    wanted = facing(np.array(orientation), orientation_sign(options))
+    if wanted < -least:
+        said.append(
+            f"orientation {orientation:+.2f}: against --orientation {options.search.orientation} the map is "
             f"{'mirrored' if orientation < 0 else 'not mirrored'}; no other was found to pass"
         )
-    elif wanted < rules.low_orientation:
-        doubts.append(
+    elif wanted < least:
+        said.append(
             f"orientation {orientation:+.2f}: parts of the map are turned inside out; one shape may be a "
             "part of the other, mirrored, or too different; look at the page"
         )
-    if confidence < rules.low_confidence:
-        way = (
-            "see the alternatives on the page"
-            if state.alternatives
-            else "ask for --alternatives 3 to see the alternatives"
-        )
-        doubts.append(
+    if confidence < options.rules.judgement.low_confidence:
+        way = "see the alternatives on the page" if alternatives else "ask for --alternatives 3 to see the alternatives"
+        said.append(
             f"low confidence ({confidence:.2f}): a different map explains the shapes almost as well; "
             f"look at the picture, and {way}"
         )
-    return doubts
+    return said
 
 
 def _users_level() -> int:

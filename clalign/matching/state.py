@@ -123,5 +123,10 @@ class MatchState:
 
 
 def wanted_sign(state: MatchState) -> float:
+    """Return the sign of the orientation that a match is to have; see `orientation_sign`."""
+    return orientation_sign(state.options)
+
+
+def orientation_sign(options: Options) -> float:
     """Return +1 where the orientation is to be kept, −1 where it is to be reversed, 0 where it is free."""
-    return {"preserving": 1.0, "reversing": -1.0, "any": 0.0}[state.options.search.orientation]
+    return {"preserving": 1.0, "reversing": -1.0, "any": 0.0}[options.search.orientation]

@@ -98,8 +98,8 @@ class Mesh:
         return values[self.file_index]
 
     def map_to_file(self, other: Mesh, matches: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Turn a map (n,) to vertices of `other` into one between the files: (file_count,), −1 off the surface."""
-        return self.to_file(other.file_index[matches], -1)
+        """Turn a map (n,) to vertices of `other` into one between the files (file_count,), −1 for none in both."""
+        return self.to_file(np.where(matches >= 0, other.file_index[matches], -1), -1)
 
     def map_from_file(self, other: Mesh, matches: NDArray[np.integer]) -> NDArray[np.int64]:
         """Turn a map (file_count,) between the files into one to vertices of `other`: (n,), −1 for no match."""

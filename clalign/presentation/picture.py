@@ -12,7 +12,7 @@ from clalign.correspondence import Correspondence
 from clalign.mesh.front import Up, front_view
 from clalign.presentation.camera import facing_rotation
 from clalign.presentation.raster import png_bytes, rasterise, with_word, write_png
-from clalign.transfer.colours import carried_colours, position_colours
+from clalign.transfer.colours import UNMATCHED, carried_colours, position_colours
 from clalign.transfer.surface_map import surface_map
 
 _MARGIN = 0.05
@@ -57,9 +57,14 @@ def pair_views(correspondence: Correspondence, up: Up | None = None) -> tuple[ND
 def pair_colours(
     correspondence: Correspondence, view: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (n, 3) colours of source and target: by place on the target (`view` turns it), carried to the source."""
+    """Return (n, 3) colours of source and target: by place on the target (`view` turns it), carried to the source.
+
+    Vertices without a match, on either, are grey.
+    """
     colours = position_colours(correspondence.target.vertices, view)
-    return carried_colours(colours, surface_map(correspondence)), colours
+    matched = surface_map(correspondence, "to_target").matched
+    on_target = np.where(matched[:, None], colours, UNMATCHED)
+    return carried_colours(colours, surface_map(correspondence)), on_target
 
 
 def draw_row(

@@ -67,8 +67,8 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
         _with_landmarks(state, required(state.maps))
         found = required(state.found)
         in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), RivalRules(doubtful=0.0))
-    # Judged in the result, and read by collections or registrations only.
-    elsewhere = {"JudgementRules", "CollectionRules", "RegistrationRules", "Rules"}
+    # Judged in the result, and read by collections, parts or registrations only.
+    elsewhere = {"JudgementRules", "CollectionRules", "PartRules", "RegistrationRules", "Rules"}
     expected = {
         f"{each.__name__}.{field.name}"
         for each in CLASSES
@@ -81,9 +81,11 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
 
 def doubts(margin: float, orientation: float, judgement: JudgementRules, wanted: str = "any") -> list[str]:
     candidate = Candidate(np.eye(3), 1.0, orientation, 0.0)
-    options = Options().replace({"search.orientation": wanted})
+    options = dataclasses.replace(
+        Options().replace({"search.orientation": wanted}), rules=dataclasses.replace(Rules(), judgement=judgement)
+    )
     state = SimpleNamespace(found=SearchResult(candidate, (), margin), alternatives=(), options=options)
-    return _doubts(state, judgement)  # type: ignore[arg-type]
+    return _doubts(state, options)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

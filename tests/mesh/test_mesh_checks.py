@@ -317,7 +317,7 @@ def test_what_no_number_of_rounds_mends_is_refused(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(checks, "_ROUNDS", 0)
     cases = {case.name: case for case in CASES}
     fin = cases["fin"]
-    assert glued(Surface.whole(fin.vertices, fin.faces)).left == 2
+    assert glued(Surface.whole(fin.vertices, fin.faces)).left == 3
     exam = Examination(Surface.whole(fin.vertices, fin.faces))
     surface_checks.check_manifold(exam)
     assert exam.refused

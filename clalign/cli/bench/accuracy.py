@@ -1,4 +1,4 @@
-"""``clalign bench humans|animals|faust|robustness|damaged|warped|study``: errors of maps over pairs of a data set."""
+"""``clalign bench`` humans, animals, faust, robustness, damaged, warped, partial, study: errors of maps over pairs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ curve.png. Run the same command again to go on after an interruption; pairs that
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add ``humans``, ``animals``, ``faust``, ``robustness``, ``damaged`` and ``warped``."""
+    """Add ``humans``, ``animals``, ``faust``, ``robustness``, ``damaged``, ``warped`` and ``partial``."""
     humans = _add(subparsers, "humans", "posed humans, or any folder in their layout")
     humans.add_argument("path", metavar="PATH", type=Path, help="folder of meshes, or of such folders")
     humans.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
@@ -70,6 +70,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="remesh each target, to this part of its faces (default: 1, its own triangles)",
     )
     warped.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
+    partial = _add(subparsers, "partial", "parts of posed humans or of animals on other poses of the whole")
+    partial.add_argument("path", metavar="PATH", type=Path, help="folder in the layout of the humans or the animals")
+    partial.add_argument("--kinds", metavar="NAMES", default="cuts,holes", help="default: %(default)s")
+    partial.add_argument("--count", metavar="N", type=int, default=20, help="pairs of each kind (default: 20)")
+    partial.add_argument(
+        "--factor",
+        metavar="F",
+        type=float,
+        default=1.0,
+        help="scale the parts by this factor, as files of another unit would (default: %(default)s)",
+    )
 
 
 def _add(
@@ -101,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the pairs of a suite, show a line a pair, write the summary; 1 when a pair has no map."""
     from clalign.benchmark.damaged import ALL_DAMAGES, damaged
     from clalign.benchmark.layouts import animals, faust, humans
+    from clalign.benchmark.parts import parts
     from clalign.benchmark.robustness import robustness
     from clalign.benchmark.runner import Measurement
     from clalign.benchmark.warped import warped
@@ -113,6 +125,7 @@ def run(args: argparse.Namespace) -> int:
         "robustness": lambda: robustness(args.path, split_list(args.alterations)),
         "damaged": lambda: damaged(args.path, split_list(args.damages) if args.damages else ALL_DAMAGES, args.pairs),
         "warped": lambda: warped(args.path, split_list(args.warps), args.share, args.pairs),
+        "partial": lambda: parts(args.path, split_list(args.kinds), args.count, args.factor),
     }[args.suite]()
     if args.distances not in METHODS:
         raise OptionError(f"--distances must be one of {', '.join(METHODS)}; got {args.distances!r}")

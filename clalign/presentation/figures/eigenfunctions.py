@@ -35,7 +35,7 @@ def draw_eigenfunctions(
     shown : numbers of eigenfunctions, from 1; those beyond the last one are left out.
     """
     view = PairView.of(result)
-    kept = [number for number in shown if number <= len(result.rotation)]
+    kept = [number for number in shown if number <= min(result.rotation.shape)]
     before, after = _unaligned(result), (result.source_aligned, result.target_aligned)
     grid: list[list[Image]] = []
     for functions, background in ((before, BEFORE), (after, AFTER)):
@@ -68,8 +68,10 @@ def draw_pair_rotation(
     true = spectral.rotation_of_truth(result, maps)
     support = spectral.support_areas(result.target_scale_invariant.functions, result.target_basis.mass)
     place = spectral.most_rotated_pair(true, support) if first is None else first - 1
-    if not 0 <= place < len(result.rotation) - 1:
-        raise OptionError(f"there is no pair {place + 1}, {place + 2} among {len(result.rotation)} eigenfunctions")
+    if not 0 <= place < min(result.rotation.shape) - 1:
+        raise OptionError(
+            f"there is no pair {place + 1}, {place + 2} among {min(result.rotation.shape)} eigenfunctions"
+        )
     blocks = spectral.pair_rotation(true, place), spectral.pair_rotation(spectral.recovered_rotation(result), place)
     view = PairView.of(result)
     before, after = _unaligned(result), (result.source_aligned, result.target_aligned)
@@ -106,8 +108,8 @@ def draw_variants(
         There is no such eigenfunction.
     """
     first = next(iter(results.values()))
-    if not 1 <= number <= len(first.rotation):
-        raise OptionError(f"there is no eigenfunction {number} among {len(first.rotation)}")
+    if not 1 <= number <= min(first.rotation.shape):
+        raise OptionError(f"there is no eigenfunction {number} among {min(first.rotation.shape)}")
     view = PairView.of(first)
     functions: dict[str, Pair] = {"unaligned": _unaligned(first)}
     functions |= {label: (result.source_aligned, result.target_aligned) for label, result in results.items()}
@@ -129,7 +131,7 @@ def draw_variants(
 
 
 def _unaligned(result: Correspondence) -> Pair:
-    count = len(result.rotation)
+    count = min(result.rotation.shape)
     return spectral.as_computed(result.source_scale_invariant)[:, :count], result.target_scale_invariant.functions[
         :, :count
     ]

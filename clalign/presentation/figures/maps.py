@@ -79,7 +79,7 @@ def draw_mirrored(
         aligned = result.source_aligned, result.target_aligned
         background = AFTER if result is good else BEFORE
         for number in _MIRROR_SHOWN:
-            index = min(number, len(result.rotation)) - 1
+            index = min(number, min(result.rotation.shape)) - 1
             panels += view.function_panels(aligned, index, height, background)
         grid.append(panels)
     figure = panel_sheet(

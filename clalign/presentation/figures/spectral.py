@@ -23,7 +23,7 @@ def draw_funnel(result: Correspondence, maps: PointMaps) -> Drawing:
     """Draw Fig. 3: |C̃| of the truth, the mask of the options beside it (outlined in both), and the recovered |C̃|."""
     from matplotlib.colors import PowerNorm
 
-    count = len(result.rotation)
+    count = min(result.rotation.shape)
     true = spectral.rotation_of_truth(result, maps)
     recovered = spectral.recovered_rotation(result)
     band = funnel_band(count, result.options.alignment)

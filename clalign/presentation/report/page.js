@@ -23,6 +23,14 @@ function carried(colours, map) {
   return result;
 }
 
+/** Colours with those of vertices that the shown map gives no match greyed. */
+function greyed(colours, map) {
+  if (!map.includes(-1)) return colours;
+  const result = Uint8Array.from(colours);
+  map.forEach((vertex, i) => { if (vertex < 0) result.set(facts.unmatched, 3 * i); });
+  return result;
+}
+
 /** Colours of byte values on a ramp. */
 function levelled(levels, ramp) {
   const table = rampTable(ramp);
@@ -76,11 +84,13 @@ function paint() {
   let legend = null;
   const checkered = shown.colouring === "checkered";
   if (checkered || shown.colouring === "position") {
-    target = arrayValues("colours");
-    source = carried(target, mapValues("target-of-source"));
+    const places = arrayValues("colours");
+    source = carried(places, mapValues("target-of-source"));
+    target = greyed(places, mapValues("source-of-target"));
   } else if (shown.colouring === "distortion") {
     const colours = distortionColours();
-    ({ source, target } = colours);
+    source = greyed(colours.source, mapValues("target-of-source"));
+    target = greyed(colours.target, mapValues("source-of-target"));
     legend = ["amount", `${readable(colours.low)} and less`, `${readable(colours.high)} and more`];
   } else if (shown.colouring === "function") {
     [source, target] = [functionColours("source"), functionColours("target")];

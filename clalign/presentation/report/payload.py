@@ -111,7 +111,7 @@ def _add_maps(correspondence: Correspondence, arrays: dict[str, NDArray[np.gener
 def _add_functions(
     correspondence: Correspondence, wanted: int | None, arrays: dict[str, NDArray[np.generic]]
 ) -> dict[str, Any]:
-    to_target, available = surface_map(correspondence), len(correspondence.rotation)
+    to_target, available = surface_map(correspondence), min(correspondence.rotation.shape)
     vertices = correspondence.source.n_vertices + correspondence.target.n_vertices
     fitting = min(_MOST_FUNCTIONS, _FUNCTION_BYTES // (2 * vertices))
     shown = min(available, max(1, fitting) if wanted is None else max(1, wanted))

@@ -1,0 +1,1 @@
+"""A part of a surface on the whole: search, growth and what the part covers."""
