@@ -87,7 +87,7 @@ for, in that file's order (numbers from 0). Vertices without a match get nan, or
 kinds:
   scalars      numbers of vertices, one or more columns (.npy, or text with one row a line)
   colours      three columns, 0 to 1 or 0 to 255
-  labels       one whole number a vertex, taken from the nearest match
+  labels       one whole number a vertex, taken from the match, without the speckles that a map makes
   landmarks    a list of vertices; gives their matches
   texture      an OBJ file with texture coordinates; OUT is an OBJ of the other shape
   deformation  the same mesh in another pose; OUT is the other mesh deformed alike (both meshes should stand alike)
@@ -133,9 +133,13 @@ def add_transfer(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
     )
     parser.add_argument(
         "--route",
-        choices=("points", "functional"),
+        choices=("points", "precise", "functional"),
         default="points",
-        help="scalars and colours: through matched points (default), or smoothly through the functional map",
+        help="scalars and colours: through matched points (default), through points inside faces, or smoothly through "
+        "the functional map",
+    )
+    parser.add_argument(
+        "--speckles", action="store_true", help="labels: keep islands and frayed edges that the map has made"
     )
     add_map_argument(parser)
     parser.set_defaults(run=run_transfer)
@@ -163,7 +167,9 @@ def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
     if args.kind == "colours":
         check_colours(args.file, values)
     if args.kind == "labels":
-        carried: Any = transfer.carry_labels(correspondence, values, origin=args.origin)
+        carried: Any
+        carried, said = transfer.carried_labels(correspondence, values, origin=args.origin, speckles=args.speckles)
+        print(said)
     elif args.kind == "landmarks":
         carried = transfer.carry_landmarks(correspondence, values, origin=args.origin)
     else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.maps.functional_maps import MatchedRows, functional_map, singular_value_weighting
@@ -45,8 +44,4 @@ def precise_places(correspondence: Correspondence, *, forward: bool = True) -> S
     here, there, faces, nearest = embedded[0], embedded[1], target.faces, to_target
     if not forward:
         here, there, faces, nearest = embedded[1], embedded[0], source.faces, to_source
-    return closest_points(here, there, faces, _known(nearest))
-
-
-def _known(nearest: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.maximum(nearest, 0)
+    return closest_points(here, there, faces, np.maximum(nearest, 0))
