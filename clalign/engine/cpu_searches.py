@@ -78,7 +78,7 @@ class CpuSearches(CpuProducts):
     def map_distance(self, dx: Array, w: Array, index: Array, result: Array) -> None:
         """Queue the distance of every two maps."""
         (m, maps), p = index.shape, dx.shape[0]
-        kernel = self.device.kernel("candidates", "map_distance", **self._candidate_defines("squared"))
+        kernel = self.device.kernel("candidates", "map_distance", **self._candidate_defines(None))
         self.device.launch(kernel, (ceil_div(maps, self.width), maps), m, maps, p, dx, w, index, result)
 
     def _nearest_groups(self, rows: int) -> int:

@@ -40,7 +40,7 @@ class GpuSearches(GpuProducts):
     def map_distance(self, dx: Array, w: Array, index: Array, result: Array) -> None:
         """Queue the distance of every two maps."""
         (m, maps), p = index.shape, dx.shape[0]
-        defines = distortion_definitions("squared", self.device.dtype.itemsize)
+        defines = distortion_definitions(None, self.device.dtype.itemsize)
         kernel = self.device.kernel("gpu_candidates", "map_distance", **defines)
         self.device.launch(kernel, (maps, maps), m, maps, p, dx, w, index, result)
 

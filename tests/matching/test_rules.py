@@ -69,8 +69,8 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
         starting_map(RIGID, source.mesh, target.mesh, options.rules.start)
         found = required(state.found)
         in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), 1.0, Options().rules)
-    # Judged in the result, and read by collections only.
-    elsewhere = {"JudgementRules", "CollectionRules", "PartRules", "Rules"}
+    # Judged in the result, and read by collections, parts or registrations only.
+    elsewhere = {"JudgementRules", "CollectionRules", "PartRules", "RegistrationRules", "Rules"}
     expected = {
         f"{each.__name__}.{field.name}"
         for each in CLASSES
