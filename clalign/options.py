@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from clalign.errors import OptionError
 from clalign.option_values import flattened, leaves, replaced, translated, type_hints
+from clalign.presets import PRESETS
 from clalign.rules import Rules
 
 Metric = Literal["euclidean", "regularized", "power", "heat-kernel", "auto"]
@@ -84,9 +85,14 @@ class SurfaceOptions:
 
     strict : refuse a mesh that is no surface as it stands (edges with three faces, sheets that touch in a point, open
         seams, several pieces); otherwise it is read as the surface that was most likely meant, with a note.
+    component : the piece that is matched of a file with several, from 1 for the largest; 0 for the one that stands out.
     """
 
     strict: bool = False
+    component: int = 0
+
+    def __post_init__(self) -> None:
+        _not_negative("surface", self, "component")
 
 
 @dataclass(frozen=True)
@@ -219,12 +225,14 @@ class ReadoutOptions:
     refine : between search and alignment: ZoomOut by several schedules, of which every patch of the surface takes the
         best ("patches"), the best one as a whole ("zoomout"), or "none".
     steps : two-way steps in the scale-invariant basis after the alignment, and before it unless `refine` is "patches".
+    joint : after these, if there are any, one step more in the Laplace–Beltrami and the scale-invariant basis jointly.
     subvertex : also give every match as a point in a face.
     """
 
     readout: Readout = "aligned"
     refine: Literal["none", "zoomout", "patches"] = "patches"
     steps: int = 2
+    joint: bool = False
     subvertex: bool = False
 
     def __post_init__(self) -> None:
@@ -373,29 +381,3 @@ def given_options(options: Any) -> Options:
     elif isinstance(options, Mapping):
         call = f"Options().replace({dict(options)!r})"
     raise OptionError(f"options must be an Options, not {type(options).__name__}; pass {call}")
-
-
-PRESETS: dict[str, dict[str, Any]] = {
-    "default": {},
-    "fast": {
-        "spectrum.scale_invariant": 200,
-        "geodesics.search_samples": 500,
-        "alignment.outer_iterations": 0,
-        "readout.steps": 2,
-    },
-    "paper": {
-        "spectrum.refinement": 120,
-        "spectrum.smoothing": 0.0,
-        "search.method": "random",
-        "alignment.weights": "uniform",
-        "alignment.denominator": "fixed",
-        "alignment.unitarity": 0.0,
-        "alignment.decay": 1.0,
-        "alignment.samples": 0,
-        "alignment.outer_iterations": 20,
-        "alignment.iterations": 50,
-        "readout.refine": "none",
-        "readout.steps": 0,
-        "readout.readout": "argmax",
-    },
-}

@@ -1,7 +1,7 @@
 /* Scores of B candidate maps at once, from distances between m samples of Y and p samples of X.
  *
  *     distortion[b]   = sum over i, l of w_i w_l e(dx[T_i, T_l], dy[i, l]),      T = maps[b]
- *     e(x, y)         = (x - y)^2, or |x - y| / (x + y + 0.05) with -D RELATIVE=1
+ *     e(x, y)         = (x - y)^2, or |x - y| / (x + y + FLOOR) with -D FLOOR=...
  *     distance[a, b]  = sum over i of w_i dx[index[i, a], index[i, b]]
  *
  * transpose_maps:   launch (maps); index (m, maps) to rows (maps, m)

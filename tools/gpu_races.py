@@ -61,8 +61,8 @@ def calls() -> Iterator[Call]:
     yield "nearest", (c, psi, w), {}
     yield "soft_map_argmax", (c, psi, w), {}
     dx, dy, index = rng.random((20, 20)), rng.random((37, 37)), rng.integers(0, 20, size=(37, 11))
-    for kind in ("squared", "relative"):
-        yield "distortion_batch", (dx, dy, rng.random(37), index, kind), {}
+    for floor in (None, 0.05):
+        yield "distortion_batch", (dx, dy, rng.random(37), index, floor), {}
     yield "map_distance", (dx, rng.random(37), index), {}
     yield "scale_rows", (c, rng.random(n)), {}
     yield "gather", (c, rng.integers(0, n, size=50)), {}

@@ -95,7 +95,7 @@ def variants(constants: GpuClass, precision: str) -> Iterator[tuple[str, str, di
                 yield program, label, {**common, **tile.definitions, "UNROLL": unroll}
         elif program.startswith("gpu_"):
             extra: dict[str, str | int] = {"RB": PART, "TB": TRANSPOSE_BLOCK}
-            yield program, precision, {**common, **extra, **distortion_definitions("relative", item_bytes)}
+            yield program, precision, {**common, **extra, **distortion_definitions(0.05, item_bytes)}
 
 
 def usages(program: str, variant: str, defines: dict[str, str | int], folder: Path) -> Iterator[Usage]:

@@ -11,15 +11,23 @@ from clalign.errors import OptionError
 
 if TYPE_CHECKING:
     from clalign.mesh.mesh import Mesh
+    from clalign.options import SurfaceOptions
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add ``--start``, ``--landmarks``, ``--landmark-tolerance`` and ``--component``."""
+    """Add ``--start``, ``--landmarks``, ``--descriptors`` with what belongs to them, and ``--component``."""
     parser.add_argument(
         "--start",
         metavar="MAP",
         help="start from a map instead of a search: a text file with the target vertex of every source vertex (-1: not "
         "known), a result folder, 'extrinsic' for shapes that lie on each other, or 'rigid' for nearly so",
+    )
+    parser.add_argument(
+        "--start-map",
+        metavar="N",
+        type=int,
+        default=0,
+        help="with --start RESULT: from its alternative N, counted from 1 for the best",
     )
     parser.add_argument(
         "--landmarks",
@@ -36,6 +44,19 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         help="how far landmarks may be off, in sqrt(area); above 0 none is kept exactly (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--descriptors",
+        metavar="FILE",
+        nargs=2,
+        help="after the meshes; pointwise descriptors of source and target: .npy or text, one row a vertex, column i "
+        "the same quantity on both",
+    )
+    parser.add_argument(
+        "--descriptor-weight",
+        metavar="W",
+        type=float,
+        help="what their squared distances count, relative to those of the eigenfunctions (default: 0.25)",
     )
     parser.add_argument(
         "--component",
@@ -65,8 +86,11 @@ class PairInput:
     """Two mesh files, which piece of each is meant, and what is known of the map between them.
 
     start : what `clalign.matching.start.starting_map` takes as text; None for a search.
+    start_map : an alternative of the result that `start` names; 0 for its chosen map.
     landmarks : files.
     tolerance : of the landmarks, in sqrt(area).
+    descriptors : files of source and target, or none.
+    weight : of the descriptors; None for the usual one.
     """
 
     source: Path
@@ -76,6 +100,9 @@ class PairInput:
     start: str | None = None
     landmarks: tuple[str, ...] = ()
     tolerance: float = 0.0
+    descriptors: tuple[str, ...] = ()
+    weight: float | None = None
+    start_map: int = 0
 
     @staticmethod
     def of(args: argparse.Namespace) -> PairInput:
@@ -84,23 +111,49 @@ class PairInput:
         Raises
         ------
         OptionError
-            ``--component`` is no number, or a tolerance is given without landmarks.
+            ``--component`` is no number, a tolerance is given without landmarks, a weight without descriptors, or an
+            alternative without a start.
         """
         if args.landmark_tolerance and not args.landmarks:
             raise OptionError("--landmark-tolerance belongs to --landmarks FILE")
-        components, landmarks = chosen_components(args.component), tuple(args.landmarks)
-        return PairInput(args.source, args.target, *components, args.start, landmarks, args.landmark_tolerance)
+        if args.descriptor_weight is not None and not args.descriptors:
+            raise OptionError("--descriptor-weight belongs to --descriptors FILE FILE")
+        if args.start_map and args.start is None:
+            raise OptionError("--start-map N belongs to --start RESULT")
+        return PairInput(
+            args.source,
+            args.target,
+            *chosen_components(args.component),
+            start=args.start,
+            landmarks=tuple(args.landmarks),
+            tolerance=args.landmark_tolerance,
+            descriptors=tuple(args.descriptors or ()),
+            weight=args.descriptor_weight,
+            start_map=args.start_map,
+        )
 
-    def meshes(self, *, strict: bool) -> tuple[Mesh, Mesh]:
-        """Read both files."""
+    def meshes(self, options: SurfaceOptions) -> tuple[Mesh, Mesh]:
+        """Read both files; what ``--component`` says counts before the options."""
         from clalign.mesh.mesh import load_mesh
 
-        source = load_mesh(self.source, strict=strict, component=self.source_component)
-        return source, load_mesh(self.target, strict=strict, component=self.target_component)
+        of_all = options.component or None
+        source = load_mesh(self.source, strict=options.strict, component=self.source_component or of_all)
+        return source, load_mesh(self.target, strict=options.strict, component=self.target_component or of_all)
 
     def known(self, source: Mesh, target: Mesh) -> dict[str, Any]:
-        """Return the arguments of `clalign.match` that say what is known, with the files of landmarks read."""
+        """Return the arguments of `clalign.match` that say what is known, with their files read."""
         from clalign.mesh.landmarks import landmarks_of
 
         landmarks = landmarks_of(self.landmarks, source, target, self.tolerance) if self.landmarks else None
-        return {"start": self.start, "landmarks": landmarks}
+        known: dict[str, Any] = {"start": self.start, "landmarks": landmarks}
+        if self.start_map:
+            from clalign.correspondence import Correspondence
+
+            known["start"] = Correspondence.load(self.start or "").with_map(self.start_map)
+        if self.descriptors:
+            from clalign.transfer.value_files import read_values
+
+            known["descriptors"] = tuple(read_values(path) for path in self.descriptors)
+        if self.weight is not None:
+            known["descriptor_weight"] = self.weight
+        return known

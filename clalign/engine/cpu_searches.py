@@ -7,7 +7,6 @@ import numpy as np
 from clalign.engine.cpu_arrays import PART
 from clalign.engine.cpu_products import CpuProducts
 from clalign.engine.launching import Array, ceil_div, distortion_definitions
-from clalign.engine.reference import DistortionKind
 
 CHECK_STEPS = 32
 """Depth after which a tile of the nearest points is checked: can one of its scores still be the best of its row?"""
@@ -62,14 +61,14 @@ class CpuSearches(CpuProducts):
         self.device.launch(kernel, ceil_div(n, groups * self._tile), n, n_y, k, c, packed, w, index, score)
 
     def distortion_batch(
-        self, dx: Array, dy: Array, w: Array, index: Array, kind: DistortionKind, result: Array
+        self, dx: Array, dy: Array, w: Array, index: Array, floor: float | None, result: Array
     ) -> None:
         """Queue the distortion of every map."""
         (m, maps), p = index.shape, dx.shape[0]
         rows = self.device.scratch("maps", maps * m, np.int32)
         parts = ceil_div(m, DISTORTION_ROWS)
         partial = self.device.scratch("partial", parts * maps)
-        defines = self._candidate_defines(kind)
+        defines = self._candidate_defines(floor)
         launch, kernel = self.device.launch, self.device.kernel
         launch(kernel("candidates", "transpose_maps", **defines), maps, m, maps, index, rows)
         scores = kernel("candidates", "distortion_parts", **defines)
@@ -79,7 +78,7 @@ class CpuSearches(CpuProducts):
     def map_distance(self, dx: Array, w: Array, index: Array, result: Array) -> None:
         """Queue the distance of every two maps."""
         (m, maps), p = index.shape, dx.shape[0]
-        kernel = self.device.kernel("candidates", "map_distance", **self._candidate_defines("squared"))
+        kernel = self.device.kernel("candidates", "map_distance", **self._candidate_defines(None))
         self.device.launch(kernel, (ceil_div(maps, self.width), maps), m, maps, p, dx, w, index, result)
 
     def _nearest_groups(self, rows: int) -> int:
@@ -87,5 +86,5 @@ class CpuSearches(CpuProducts):
         usual, most = self.constants.nearest_groups
         return most if ceil_div(rows, self._tile) >= most * MANY_ROWS * self.device.facts.units else usual
 
-    def _candidate_defines(self, kind: DistortionKind) -> dict[str, str | int]:
-        return {"DB": DISTORTION_ROWS, **distortion_definitions(kind, self.device.dtype.itemsize)}
+    def _candidate_defines(self, floor: float | None) -> dict[str, str | int]:
+        return {"DB": DISTORTION_ROWS, **distortion_definitions(floor, self.device.dtype.itemsize)}

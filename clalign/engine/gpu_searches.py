@@ -6,7 +6,6 @@ import numpy as np
 
 from clalign.engine.gpu_products import GpuProducts
 from clalign.engine.launching import Array, ceil_div, distortion_definitions, equal_parts
-from clalign.engine.reference import DistortionKind
 
 
 class GpuSearches(GpuProducts):
@@ -29,19 +28,19 @@ class GpuSearches(GpuProducts):
         self._best(c, psi, w, True, index, score)
 
     def distortion_batch(
-        self, dx: Array, dy: Array, w: Array, index: Array, kind: DistortionKind, result: Array
+        self, dx: Array, dy: Array, w: Array, index: Array, floor: float | None, result: Array
     ) -> None:
         """Queue the distortion of every map."""
         (m, maps), p = index.shape, dx.shape[0]
         kernel = self.device.kernel(
-            "gpu_candidates", "distortion", **distortion_definitions(kind, self.device.dtype.itemsize)
+            "gpu_candidates", "distortion", **distortion_definitions(floor, self.device.dtype.itemsize)
         )
         self._launch_groups(kernel, (1, maps), m, p, maps, dx, dy, w, index, result)
 
     def map_distance(self, dx: Array, w: Array, index: Array, result: Array) -> None:
         """Queue the distance of every two maps."""
         (m, maps), p = index.shape, dx.shape[0]
-        defines = distortion_definitions("squared", self.device.dtype.itemsize)
+        defines = distortion_definitions(None, self.device.dtype.itemsize)
         kernel = self.device.kernel("gpu_candidates", "map_distance", **defines)
         self.device.launch(kernel, (maps, maps), m, maps, p, dx, w, index, result)
 

@@ -7,7 +7,6 @@ import numpy as np
 from clalign.engine.kernels_arrays import operation, require_shapes
 from clalign.engine.kernels_products import KernelProducts
 from clalign.engine.launching import Array, ArrayPair
-from clalign.engine.reference import DistortionKind
 from clalign.errors import InputError
 
 
@@ -51,17 +50,17 @@ class KernelSearches(KernelProducts):
         dy: Array,
         w: Array,
         index: Array,
-        kind: DistortionKind = "squared",
+        floor: float | None = None,
         *,
         out: Array | None = None,
     ) -> Array:
-        if kind not in ("squared", "relative"):
-            raise InputError(f"distortion_batch: kind must be squared or relative, got {kind!r}")
+        if floor is not None and not floor > 0:
+            raise InputError(f"distortion_batch: the floor of relative distances must be positive, got {floor!r}")
         m, maps = index.shape
         p = dx.shape[0]
         require_shapes("distortion_batch", dx=(dx.shape, (p, p)), dy=(dy.shape, (m, m)), w=(w.shape, (m,)))
         result = self._result("distortion_batch", (maps,), out)
-        self._launcher.distortion_batch(dx, dy, w, index, kind, result)
+        self._launcher.distortion_batch(dx, dy, w, index, floor, result)
         return result
 
     @operation

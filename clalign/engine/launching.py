@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from clalign.engine.band import Band
 from clalign.engine.device import Device, DeviceArray
-from clalign.engine.reference import RELATIVE_DISTANCE_FLOOR, DistortionKind
 
 Array: TypeAlias = DeviceArray
 ArrayPair: TypeAlias = tuple[Array, Array]
@@ -78,7 +77,7 @@ def pair_runs(k: int, length: int) -> NDArray[np.int32]:
     return np.array([(a, b) for a in range(k) for b in range(a, k, length)], dtype=np.int32)
 
 
-def distortion_definitions(kind: DistortionKind, item_bytes: int) -> dict[str, str | int]:
-    """``-D`` names and values of ``distortion_error.cl``, for reals of that many bytes."""
+def distortion_definitions(floor: float | None, item_bytes: int) -> dict[str, str | int]:
+    """``-D`` names and values of ``distortion_error.cl``, for reals of that many bytes; see `distortion_batch`."""
     suffix = "f" if item_bytes == 4 else ""
-    return {"RELATIVE": int(kind == "relative"), "FLOOR": f"{RELATIVE_DISTANCE_FLOOR}{suffix}"}
+    return {} if floor is None else {"FLOOR": f"{float(floor)!r}{suffix}"}

@@ -175,14 +175,13 @@ def test_unknown_programs_and_functions_are_errors(kernels: Kernels):
 @pytest.mark.parametrize(
     ("program", "function", "define"),
     [
-        ("candidates", "map_distance", "FLOOR"),
         ("nearest", "nearest", "CHECK_STEPS"),
         ("elementwise", "transpose", "TB"),
     ],
 )
 def test_a_missing_define_is_a_build_error_that_names_it(kernels: Kernels, capfd, program, function, define):
     with pytest.raises(DeviceError, match=rf"{program}\.cl do not build") as caught:
-        kernels.device.kernel(program, function, RELATIVE=0)
+        kernels.device.kernel(program, function, UNKNOWN=0)
     assert f"{define} must be given" in str(caught.value) + capfd.readouterr().err
 
 

@@ -109,12 +109,12 @@ def test_best_points(check_gpu, rng, m, p, depth):
     check_gpu("soft_map_argmax", queries, points, rng.random(p))
 
 
-@pytest.mark.parametrize("kind", ["squared", "relative"])
-def test_candidates(check_gpu, rng, kind):
+@pytest.mark.parametrize("floor", [None, 0.05], ids=["squared", "relative"])
+def test_candidates(check_gpu, rng, floor):
     points = [rng.random((count, 3)) for count in (50, 97)]
     dx, dy = (np.linalg.norm(each[:, None] - each, axis=2) for each in points)
     index, w = rng.integers(0, 50, size=(97, 33)), rng.random(97)
-    check_gpu("distortion_batch", dx, dy, w, index, kind)
+    check_gpu("distortion_batch", dx, dy, w, index, floor)
     check_gpu("map_distance", dx, w, index)
 
 

@@ -1,20 +1,9 @@
-"""Every number that steers a result and that no user needs to know, with its reason.
-
-Rules are passed down as arguments, written to ``result.json`` with the options, and varied by the study like options:
-``--set rules.search.finalists=32``. What is not here guards floating-point arithmetic, or chooses between ways to
-compute the same; ``maps/nearest.py`` and ``maps/inverted_file.py`` say from which size on, and how, nearest neighbours
-are approximated.
-"""
+"""Numbers of prepared shapes and of the search for the isometry; see `clalign.rules`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Literal
-
-from clalign.part_rules import PartRules
-
-PointwiseKind = Literal["curvatures", "signatures", "oriented"]
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -49,6 +38,44 @@ class Levels:
     def last(self) -> Level:
         """The step with which it ends."""
         return Level(self.sizes[-1], self.queries, self.points)
+
+
+@dataclass(frozen=True)
+class ShapeRules:
+    """Descriptors of one shape.
+
+    oriented_functions : functions that the orientation tensor is computed for: more than any step looks at would only
+        cost.
+    signatures : heat kernel signatures, at times in equal ratios ...
+    first_time, last_time : ... from one to the other, in units of area: before the first they tell triangulations
+        apart, after the last all points of a body are alike.
+    curvature_quantile : larger curvatures, of slivers and spikes, are cut to this quantile of their size ...
+    curvature_time : ... before curvature is diffused for so long, in units of area, which forgets what is finer than
+        about a twentieth of the size of a body.
+    """
+
+    oriented_functions: int = 30
+    signatures: int = 6
+    first_time: float = 0.002
+    last_time: float = 0.05
+    curvature_quantile: float = 0.98
+    curvature_time: float = 0.001
+
+
+@dataclass(frozen=True)
+class StartRules:
+    """The map that shapes show as they lie in space.
+
+    normals : two vertices at one place whose normals are at right angles count as sqrt(2) times this far apart, in
+        sqrt(area).
+    rigid_steps : of iterated closest points, at most.
+    trimmed : share of the vertices, the closest ones, that a rigid motion is fitted to: what moved otherwise is left
+        out.
+    """
+
+    normals: float = 0.1
+    rigid_steps: int = 50
+    trimmed: float = 0.7
 
 
 @dataclass(frozen=True)
@@ -136,6 +163,14 @@ class SearchRules:
     fine : the fine ZoomOut steps.
     least_orientation : a map below is ranked behind every one above.
     distinct : mean geodesic distance from which on two maps are different ones, in units of sqrt(area).
+    distance_floor : added to the sum of two distances that a difference of distances is compared with, in units of
+        sqrt(area): about the spacing of the samples that distances lead to.
+    given_floor : added to the difference of a user's descriptors, relative to their spread: less is noise, and a map
+        without any must not have a score of 0.
+    given_power : times their weight, the power of that difference in the score: at the usual weight of 0.25 it counts
+        as two of the shapes' own differences do.
+    first_given : functions of the map that sends samples to those with the most similar descriptors of the user, and
+        the samples.
     """
 
     oriented: TreeRules = TreeRules(9, (16, 18, 20), strengths=(0.5, 1.0), least_orientation=0.2, most=120)
@@ -163,16 +198,22 @@ class SearchRules:
     fine: Levels = Levels((45, 50, 56, 63, 71, 80, 90, 100, 110, 120), 500, 1000)
     least_orientation: float = 0.5
     distinct: float = 0.05
+    distance_floor: float = 0.05
+    given_floor: float = 0.05
+    given_power: float = 8.0
+    first_given: Level = Level(16, 200, 600)
 
 
 @dataclass(frozen=True)
 class RivalRules:
     """The choice among the best candidates of a search in doubt, after they are grown.
 
-    doubtful : rivals are grown where the confidence of the search is below: of 40 warped pairs the search was wrong on
-        six, always below 0.3.
+    doubtful : rivals are grown where the chosen map's orientation fails, or where the confidence of the search is
+        below: of 40 warped pairs the search was wrong on six, always below 0.3.
     exact : or where its score is below, which only an exact copy of the source reaches. Its samples are images of each
         other under the identity, but not under a symmetry that is as exact, so that the scores cannot be compared.
+    rounded : or where even a rival's score is below, as only symmetries of a body reach: five differences of a few per
+        cent each, which is what samples round them to. A person's left and right have 1e-6.
     slack : candidates with a score above so many times the least ...
     resolution : ... or so many times this, where that is more, are no rivals: scores of exact maps that samples round.
     most : rivals grown at most.
@@ -185,6 +226,7 @@ class RivalRules:
 
     doubtful: float = 0.5
     exact: float = 1e-12
+    rounded: float = 1e-7
     slack: float = 4.0
     resolution: float = 1e-6
     most: int = 6
@@ -192,157 +234,3 @@ class RivalRules:
     largest_stretch: float = 10.0
     least_energy: float = 1e-4
     same_energy: float = 1e-3
-
-
-@dataclass(frozen=True)
-class ZoomOutSchedule:
-    """How a functional map is grown by ZoomOut.
-
-    start : functions that are kept of it; None keeps all, and adds at once.
-    step : functions added at a time.
-    strength : variance of the pointwise descriptors beside the eigenfunctions, relative to theirs.
-    descriptors : which; see `pointwise_descriptors`.
-    repeats : steps with the functions that were kept, before any are added.
-    """
-
-    start: int | None = None
-    step: int = 20
-    strength: float = 0.0
-    descriptors: PointwiseKind = "curvatures"
-    repeats: int = 2
-
-
-@dataclass(frozen=True)
-class RefinementRules:
-    """From the map of the search to the vertices.
-
-    schedules : ways to grow the map; where the low functions leave a part open, each turns it differently. Starts,
-        strengths and descriptors were picked on two animals and looked at on ten pairs of humans.
-    queries : samples of Y that ZoomOut matches with all vertices of X; more cost more and were not better.
-    samples, patches : of each shape, that maps are compared on.
-    grown : Laplace-Beltrami functions that a map is grown to at first, before ...
-    settle : ... steps with so many scale-invariant ones.
-    regrow : functions of the steps that grow a map again in the scale-invariant basis, ...
-    regrow_low : ... and in the Laplace-Beltrami basis, before `settle`.
-    generations : how often that is done.
-    oriented_products : last function whose triple products tell the orientation of a patch.
-    compared : functions that patches are compared with.
-    ridge : of the two-way least squares on samples, relative to the mean diagonal entry. Functions that live between
-        the samples make the Gram matrix singular, which single precision may turn negative: its largest eigenvalue is
-        some thirty times the mean, and rounds to a few millionths of it.
-    closed_form : functions of the two-way steps before the alignment, half of all where that is more; more cost more
-        and were not better.
-    largest_descriptor : pointwise descriptors are cut at so many standard deviations.
-    oriented_functions : low functions whose products with each other and with heat kernel signatures are oriented
-        descriptors.
-    oriented_signatures : signatures among them, by their place in `Shape.signatures`.
-    oriented_time : diffusion time of the products, in units of area.
-    """
-
-    schedules: tuple[ZoomOutSchedule, ...] = (
-        ZoomOutSchedule(),
-        ZoomOutSchedule(40, strength=0.2, descriptors="signatures"),
-        ZoomOutSchedule(30, strength=0.1, descriptors="curvatures"),
-        ZoomOutSchedule(15, strength=0.5, descriptors="oriented"),
-        ZoomOutSchedule(25, strength=0.25, descriptors="oriented"),
-    )
-    queries: int = 1000
-    samples: int = 1000
-    patches: int = 100
-    grown: int = 140
-    settle: tuple[int, ...] = (200,)
-    regrow: tuple[int, ...] = (60, 80, 110, 150, 200, 250)
-    regrow_low: tuple[int, ...] = (60, 90, 130, 170)
-    generations: int = 2
-    oriented_products: int = 11
-    compared: int = 250
-    ridge: float = 1e-5
-    closed_form: int = 200
-    largest_descriptor: float = 3.0
-    oriented_functions: int = 8
-    oriented_signatures: tuple[int, ...] = (1, 4)
-    oriented_time: float = 5e-4
-
-
-@dataclass(frozen=True)
-class AlignmentRules:
-    """The alignment of R.
-
-    ridge : of the least squares for C (Eq. 11), relative to the mean of the diagonal of α αᵀ.
-    memory : steps that L-BFGS remembers.
-    exponents : ξ that the metric "auto" tries, from the most to the least scale-invariant; outside this range the error
-        grew on every pair tried.
-    least_singular_value, quantile : the first ξ is taken at which this quantile of the singular values of C̃ inside the
-        funnel is at least so large.
-    """
-
-    ridge: float = 1e-6
-    memory: int = 50
-    exponents: tuple[float, ...] = (0.5, 0.3, 0.15)
-    least_singular_value: float = 0.6
-    quantile: float = 0.1
-
-
-@dataclass(frozen=True)
-class JudgementRules:
-    """When a result says that it is in doubt.
-
-    low_confidence : a best different map whose score is within this share of the chosen one's is worth a warning.
-    low_orientation : an orientation nearer to zero is worth a warning: below are maps with parts turned inside out, as
-        between half a body and a whole one (0.4 to 0.7); near-isometries reach 0.95.
-    """
-
-    low_confidence: float = 0.15
-    low_orientation: float = 0.9
-
-
-@dataclass(frozen=True)
-class CollectionRules:
-    """The network of a collection's maps.
-
-    wrong : a map that deviates from the network's by more than this is a different one: a flip of left and right has
-        about 1.
-    worse : a repaired map that distorts distances by this much more than the matched one is not taken.
-    smallest_spread : deviations below are taken for those of right maps.
-    least_weight : what the most doubtful map still weighs, so that a shape with none but such stays in the network.
-    least_confidence : a map of less weighs as one of this.
-    reweightings : of the maps, at most.
-    """
-
-    wrong: float = 0.5
-    worse: float = 1.5
-    smallest_spread: float = 0.25
-    least_weight: float = 1e-6
-    least_confidence: float = 0.05
-    reweightings: int = 12
-
-
-@dataclass(frozen=True)
-class LandmarkRules:
-    """What known landmarks decide.
-
-    most : candidates of the search that they choose among.
-    cap : a landmark that a candidate sends farther away counts as this far, in sqrt(area): one wrong landmark of five
-        must not decide.
-    worse : candidates whose landmarks are off by this much more than the best one's, in sqrt(area), are no rivals.
-    contradicted : the final map contradicts a landmark that it sends farther away than this, in sqrt(area).
-    """
-
-    most: int = 12
-    cap: float = 0.4
-    worse: float = 0.04
-    contradicted: float = 0.15
-
-
-@dataclass(frozen=True)
-class Rules:
-    """All rules; see each group."""
-
-    search: SearchRules = field(default_factory=SearchRules)
-    rivals: RivalRules = field(default_factory=RivalRules)
-    landmarks: LandmarkRules = field(default_factory=LandmarkRules)
-    refinement: RefinementRules = field(default_factory=RefinementRules)
-    alignment: AlignmentRules = field(default_factory=AlignmentRules)
-    judgement: JudgementRules = field(default_factory=JudgementRules)
-    collection: CollectionRules = field(default_factory=CollectionRules)
-    parts: PartRules = field(default_factory=PartRules)
