@@ -139,11 +139,9 @@ def pyfm_start(source: Mesh, target: Mesh, truth: NDArray[np.int64], size: int =
     )
     known = np.random.default_rng(0).choice(source.n_vertices, 5, replace=False)
     model = FunctionalMapping(one, other)
-    model.preprocess(
-        n_ev=(size, size), n_descr=100, descr_type="WKS", subsample_step=5,
-        landmarks=np.stack([known, truth[known]], axis=1), verbose=False,
-    )  # fmt: skip
-    model.fit(w_descr=1.0, w_lap=1e-2, w_dcomm=1e-1, w_orient=0, verbose=False)
+    marks = np.stack([known, truth[known]], axis=1)
+    model.preprocess(n_descr=100, descr_type="WKS", landmarks=marks, subsample_step=5, k_process=60)
+    model.fit(K=(size, size), w_descr=1.0, w_lap=1e-2, w_dcomm=1e-1, w_orient=0)
     return model.FM, model.mesh1.eigenvectors[:, :size], model.mesh2.eigenvectors[:, :size]
 
 
