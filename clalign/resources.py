@@ -26,9 +26,10 @@ TABLE = Path(__file__).resolve().parent / "data" / "forecast.json"
 """Coefficients, and the measurements that they were fitted to."""
 
 HOST, DEVICE = "host", "device"
-STAGES = ("start", "prepare", "search", "refinement", "metric", "alignment", "result")
-"""Of the forecast: "start" has what comes before the meshes are prepared, "alignment" all between the map that is
-refined and the result, which "result" draws and writes."""
+STAGES = ("start", "prepare", "search", "choice", "refinement", "metric", "alignment", "result")
+"""Of the forecast: "start" has what comes before the meshes are prepared, "choice" is that of a pair in doubt with as
+many rivals as there may be, "alignment" all between the map that is refined and the result, which "result" draws and
+writes."""
 SERIAL = ("start", "result")
 """Stages that one processor does."""
 
@@ -55,8 +56,8 @@ class Forecast:
 
     @property
     def seconds(self) -> float:
-        """Time of the whole match, the sum over `stages`."""
-        return sum(self.stages.values())
+        """Time of the whole match, the sum over `stages` but for the choice, which only pairs in doubt need."""
+        return sum(seconds for stage, seconds in self.stages.items() if stage != "choice")
 
 
 def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
@@ -79,6 +80,7 @@ def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
     evaluations = alignment.outer_iterations * alignment.iterations + 1
     searched = float(options.search.method != "random")
     maps = searched * (1 + options.search.alternatives) * (options.readout.refine != "none")
+    rivals = searched * options.rules.rivals.most
     real = _real_bytes(options)
     columns = both * (functions + scale_invariant + rows)
     cells = real * both * scale_invariant * (source * target > EXHAUSTIVE)
@@ -89,6 +91,7 @@ def terms(source: int, target: int, options: Options) -> dict[str, Terms]:
         "start": {"fixed": 1.0, "vertices": both},
         "prepare": {"functions": both * (functions + scale_invariant), "distances": sampled, "factors": both**1.5},
         "search": {"fixed": searched, "samples": searched * samples},
+        "choice": {"fixed": rivals, "functions": rivals * both * sum(options.rules.rivals.sizes)},
         "refinement": {"fixed": maps, "functions": maps * both * (functions + scale_invariant)},
         "metric": {"functions": both * scale_invariant * (spectrum.metric == "auto")},
         "alignment": {"losses": evaluations * losses * basis**2.0, "rotation": evaluations * scale_invariant**2.0,

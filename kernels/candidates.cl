@@ -1,7 +1,7 @@
 /* Scores of B candidate maps at once, from distances between m samples of Y and p samples of X.
  *
  *     distortion[b]   = sum over i, l of w_i w_l e(dx[T_i, T_l], dy[i, l]),      T = maps[b]
- *     e(x, y)         = (x - y)^2, or |x - y| / (x + y + 0.05) with -D RELATIVE=1
+ *     e(x, y)         = (x - y)^2, or |x - y| / (x + y + FLOOR) with -D FLOOR=...
  *     distance[a, b]  = sum over i of w_i dx[index[i, a], index[i, b]]
  *
  * transpose_maps:   launch (maps); index (m, maps) to rows (maps, m)
@@ -10,14 +10,10 @@
  * map_distance:     launch (ceil(maps / W), maps); index (m, maps); distance (maps, maps)
  * numpy twins: clalign.engine.reference.Reference.distortion_batch, map_distance
  */
-#ifndef RELATIVE
-#define RELATIVE 0
-#endif
+#include "distortion_error.cl"
+
 #ifndef DB
 #define DB 64 /* rows of one part */
-#endif
-#ifndef FLOOR
-#error "FLOOR must be given: the constant in the denominator of the relative distortion"
 #endif
 
 KERNEL void transpose_maps(const int m, const int maps, __global const int *restrict index, __global int *restrict rows)
@@ -25,16 +21,6 @@ KERNEL void transpose_maps(const int m, const int maps, __global const int *rest
     const int b = get_global_id(0);
     if (b >= maps) return;
     for (int i = 0; i < m; ++i) rows[(size_t)b * m + i] = index[(size_t)i * maps + b];
-}
-
-INLINE real error_of(const real x, const real y)
-{
-    const real difference = x - y;
-#if RELATIVE
-    return (difference < ZERO ? -difference : difference) / (x + y + (real)FLOOR);
-#else
-    return difference * difference;
-#endif
 }
 
 KERNEL void distortion_parts(const int m, const int p, const int parts, __global const real *restrict dx,

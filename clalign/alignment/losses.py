@@ -7,6 +7,8 @@
 | `CycleLoss` | 31 | both functional maps, distances of the source | C and the map back |
 | `UnitarityLoss` | 23 | R | R |
 
+A term of R alone is a `Penalty` and is listed in `penalties`; `objective` adds up whatever there is.
+
 Nothing of size n × n is made: the soft map P enters through Z = PᵀU, distances through low-rank factors. Values are
 read when the whole gradient is queued (`Loss`), so that nothing waits for the device before.
 """
@@ -23,6 +25,7 @@ from clalign.alignment.problem_data import SampledFactors, ShapeData
 from clalign.alignment.soft_map import MomentsSoftMap, SoftMap, cheaper_soft_map, moments_soft_map
 from clalign.engine.backend import Backend
 from clalign.engine.band import Band
+from clalign.options import AlignmentOptions
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class FixedCorrespondence:
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss that the device still computes: ``float`` waits for it.
+    """A loss that the device may still compute.
 
     Attributes
     ----------
@@ -57,9 +60,6 @@ class Loss:
 
     value: Any
     divisor: float = 1.0
-
-    def __float__(self) -> float:
-        return float(self.value) / self.divisor
 
 
 class AlignmentLoss:
@@ -89,7 +89,7 @@ class AlignmentLoss:
         return FixedCorrespondence(target_of_source, *grams, denominator=float(denominator), weight=weight)
 
     def value_and_gradient(self, rotation: Any, transposed: Any, fixed: FixedCorrespondence) -> tuple[Loss, Any]:
-        """Return the value and the gradient (d, d) inside the band; only a differentiated denominator is waited for."""
+        """Return the value and the gradient (d, d) inside the band."""
         backend = self._backend
         grams = fixed.gram_source, fixed.gram_target, fixed.gram_cross
         numerator, denominator, dnumerator, ddenominator = backend.alignment(
@@ -98,28 +98,48 @@ class AlignmentLoss:
         if fixed.denominator is not None:
             gradient = backend.add(dnumerator, ddenominator, scale_a=1.0 / fixed.denominator, scale_b=0.0)
             return Loss(numerator, fixed.denominator), gradient
-        scale = 1.0 / float(denominator)
-        value = float(numerator) * scale
-        return Loss(value), backend.add(dnumerator, ddenominator, scale_a=scale, scale_b=-value * scale)
+        value, gradient = backend.quotient(numerator, denominator, dnumerator, ddenominator)
+        return Loss(value), gradient
+
+
+class Penalty(Protocol):
+    """A term of R alone, which the objective has with a weight.
+
+    name : in histories and results.
+    weight : 0 only reports it.
+    """
+
+    name: str
+    weight: float
+
+    def value_adding_gradient(self, rotation: Any, transposed: Any, gradient: Any) -> Loss:
+        """Return the value; the gradient of the weighted penalty, if any, is added to `gradient` (d, d)."""
 
 
 class UnitarityLoss:
     """l_uni(R) = ‖R Rᵀ − I‖² / d² (Eq. 23), reported always, a penalty where `weight` is not zero."""
 
+    name = "unitarity"
+
     def __init__(self, band: Band, backend: Backend, weight: float) -> None:
-        self._band, self._backend, self._weight = band, backend, weight
+        self._band, self._backend, self.weight = band, backend, weight
         self._identity = backend.array(np.eye(band.size))
 
     def value_adding_gradient(self, rotation: Any, transposed: Any, gradient: Any) -> Loss:
-        """Return the value; the gradient of the weighted penalty, if any, is added to `gradient` (d, d)."""
+        """See `Penalty`."""
         backend, band, size = self._backend, self._band, self._band.size
         excess = backend.banded_product(rotation, transposed, left=band, right=band.transposed)
         backend.add(excess, self._identity, scale_b=-1.0, out=excess)
         flat = excess.reshape(size * size, 1)
-        if self._weight > 0:
-            scale = 4.0 * self._weight / size**2
+        if self.weight > 0:
+            scale = 4.0 * self.weight / size**2
             backend.banded_product(excess, rotation, right=band, kept=band, scale=scale, accumulate=True, out=gradient)
         return Loss(backend.weighted_gram(flat, flat).reshape(()), size**2)
+
+
+def penalties(band: Band, backend: Backend, options: AlignmentOptions) -> tuple[Penalty, ...]:
+    """Return the terms of R alone."""
+    return (UnitarityLoss(band, backend, options.unitarity),)
 
 
 @dataclass(frozen=True)

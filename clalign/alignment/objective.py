@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.alignment.functional_map import AlignedCoefficients
-from clalign.alignment.losses import AlignmentLoss, DistanceTerms, FixedCorrespondence, UnitarityLoss, distance_terms
+from clalign.alignment.losses import AlignmentLoss, DistanceTerms, FixedCorrespondence, distance_terms, penalties
 from clalign.alignment.problem_data import SampledFactors, ShapeData
 from clalign.engine.backend import Backend
 from clalign.engine.band import Band
@@ -31,7 +31,7 @@ class Evaluation:
     Attributes
     ----------
     total : value of the objective.
-    terms : "align", "unsup", "cycle" (if used) and "unitarity".
+    terms : "align", "unsup", "cycle" (if used), and each `Penalty` by its name.
     gradient : (variables,) float64.
     """
 
@@ -69,7 +69,7 @@ class Objective:
         self._positions = band.positions
         self._one_sided = options.sides == "one"
         self._align = AlignmentLoss(source, target, band, backend, one_sided=self._one_sided)
-        self._unitarity = UnitarityLoss(band, backend, options.unitarity)
+        self._penalties = penalties(band, backend, options)
         self._coefficients = AlignedCoefficients(
             source.projection, target.projection, band, backend, one_sided=self._one_sided, ridge=rules.ridge
         )
@@ -130,15 +130,19 @@ class Objective:
         if options.cycle:
             back = through.solve_gradient(distortions.slope_back, functional_back, gram_back, beta, alpha)
             dalpha, dbeta = backend.add(dalpha, back[1]), backend.add(dbeta, back[0])
-        weight = fixed.weight * (0.5 if options.cycle else 1.0)
+        # The mean of the terms that read distances (Eq. 32).
+        weight = fixed.weight / len(distortions.terms)
         through.add_gradient(dalpha, dbeta, weight, gradient)
-        unitarity = self._unitarity.value_adding_gradient(rotation, transposed, gradient)
-        packed = backend.numpy(backend.band_gather(gradient, self.band)).astype(np.float64)
-        losses = {"align": align, **distortions.terms, "unitarity": unitarity}
-        terms = {name: float(loss) for name, loss in losses.items()}
-        distortion = terms["unsup"] + terms.get("cycle", 0.0)
-        total = terms["align"] + weight * distortion + options.unitarity * terms["unitarity"]
-        return Evaluation(total, terms, packed)
+        added = {each.name: each.value_adding_gradient(rotation, transposed, gradient) for each in self._penalties}
+        losses = {"align": align, **distortions.terms, **added}
+        # The one place where the host waits for the device.
+        packed, *values = backend.read(
+            [backend.band_gather(gradient, self.band), *(loss.value for loss in losses.values())]
+        )
+        terms = {name: float(value) / loss.divisor for (name, loss), value in zip(losses.items(), values, strict=True)}
+        total = terms["align"] + weight * sum(terms[name] for name in distortions.terms)
+        total += sum(each.weight * terms[each.name] for each in self._penalties)
+        return Evaluation(total, terms, packed.astype(np.float64))
 
     def _both(self, rotation: NDArray[np.float64]) -> tuple[Any, Any]:
         """Return R and Rᵀ on the backend."""

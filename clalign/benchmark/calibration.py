@@ -42,10 +42,13 @@ VARIANTS: tuple[dict[str, Any], ...] = (
     {"spectrum.metric": "auto", "geodesics.search_samples": 300},
     {"search.method": "random", "alignment.samples": 0, "alignment.outer_iterations": 1},
     {"readout.refine": "none", "alignment.outer_iterations": 0, "readout.steps": 0},
+    {"rules.rivals.doubtful": 1.1, "rules.rivals.slack": 1e9},
 )
 """Changes of options whose cost is measured at `VARIED` vertices."""
 WARM_UP = 1000
 """Vertices of a match that builds the programs, which takes memory and time of its own."""
+IN_DOUBT = (1000, 10_000)
+"""Vertices of the generated pairs that are matched as if the search were in doubt, with as many rivals as there are."""
 STAGES = {"read": "start", "device": "start", "start of R": "alignment", "read-out": "alignment"}
 """Stage of the forecast that a stage of a match counts to, where it is not one itself."""
 
@@ -75,7 +78,7 @@ class Measured:
 
 
 def measurements(draw: Draw | None, watch: Callable[[Measured], None] = lambda _: None) -> list[Measured]:
-    """Measure generated pairs of all `SIZES`, all `VARIANTS`, and the bundled pair.
+    """Measure generated pairs of all `SIZES`, all `VARIANTS`, choices of pairs in doubt, and the bundled pair.
 
     `draw` writes what ``clalign match`` writes beside the result into a folder, of pairs with default options; `watch`
     is called after every match.
@@ -94,6 +97,8 @@ def _plan() -> Iterator[tuple[str, tuple[Mesh, Mesh], dict[str, Any]]]:
         yield "generated", _generated(size), {}
     for changes in VARIANTS:
         yield "generated", _generated(VARIED), changes
+    for size in IN_DOUBT:
+        yield "generated", _generated(size), VARIANTS[-1]
     files = bundled_pair()
     yield "bundled", (load_mesh(files.source), load_mesh(files.target)), {}
 

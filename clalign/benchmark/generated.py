@@ -32,14 +32,14 @@ def generated_pair(count: int, seed: int = 0) -> LoadedPair:
     """
     if count < SMALLEST:
         raise OptionError(f"a generated mesh has at least {SMALLEST} vertices, got {count}")
-    source_points, target_points = (_points_on_sphere(count, seed=1000 * seed + side) for side in (1, 2))
-    source = _mesh(source_points, _body(source_points, seed), f"generated-{count}-source")
-    target = _mesh(target_points, _bent(_body(target_points, seed)), f"generated-{count}-target")
+    source_points, target_points = (points_on_sphere(count, seed=1000 * seed + side) for side in (1, 2))
+    source = mesh_on_sphere(source_points, _body(source_points, seed), f"generated-{count}-source")
+    target = mesh_on_sphere(target_points, _bent(_body(target_points, seed)), f"generated-{count}-target")
     _, nearest = cKDTree(target_points).query(source_points)
     return LoadedPair(f"generated {count}", source, target, Truth(np.arange(count), nearest.astype(np.int64)), None)
 
 
-def _points_on_sphere(count: int, seed: int) -> NDArray[np.float64]:
+def points_on_sphere(count: int, seed: int) -> NDArray[np.float64]:
     """Return a Fibonacci spiral in a random order, jittered and rotated."""
     rng = np.random.default_rng(seed)
     order = rng.permutation(count)
@@ -68,7 +68,8 @@ def _bent(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle), z], axis=1)
 
 
-def _mesh(directions: NDArray[np.float64], points: NDArray[np.float64], name: str) -> Mesh:
+def mesh_on_sphere(directions: NDArray[np.float64], points: NDArray[np.float64], name: str) -> Mesh:
+    """Return a mesh of points (n, 3) with the triangles of the convex hull of their directions (n, 3), unit vectors."""
     faces = ConvexHull(directions).simplices.astype(np.int64)
     inward = np.linalg.det(directions[faces]) < 0
     faces[inward] = faces[inward, ::-1]

@@ -1,4 +1,4 @@
-"""The pairs of a folder with other proportions on one side or both, in the ways of `clalign.benchmark.warp`."""
+"""The pairs of a folder with other proportions, in the ways of `clalign.benchmark.warp`, or with touching parts."""
 
 from __future__ import annotations
 
@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 from clalign.benchmark.layouts import Layout, humans
 from clalign.benchmark.pairs import BenchmarkPair, LoadedPair
 from clalign.benchmark.perturb import Perturbed, decimate, renumber, same_vertices
+from clalign.benchmark.touching import TouchingPair
 from clalign.benchmark.warp import WARPS
 from clalign.errors import OptionError
 from clalign.evaluation.truth import Truth
 from clalign.mesh.mesh import Mesh
+
+TOUCHING = "touching"
+ALL_WARPS = (*WARPS, TOUCHING)
 
 
 @dataclass(frozen=True)
@@ -68,10 +72,18 @@ def _new_numbers(mesh: Mesh, steps: Sequence[Perturbed]) -> NDArray[np.int64]:
     return numbers
 
 
+def _changed(pair: BenchmarkPair, warp: str, share: float, seed: int) -> BenchmarkPair:
+    if warp == TOUCHING:
+        return TouchingPair(pair.name, pair, seed)
+    return WarpedPair(pair.name, pair, warp, share, seed)
+
+
 def warped(
-    path: str | Path, warps: Sequence[str] = tuple(WARPS), share: float = 1.0, pairs: str | None = None
+    path: str | Path, warps: Sequence[str] = ALL_WARPS, share: float = 1.0, pairs: str | None = None
 ) -> tuple[Layout, ...]:
     """Return one suite for each warp, of all pairs of a folder in the layout of the humans.
+
+    share : of the target's faces that are left when it is remeshed, which pairs with touching parts are not.
 
     Raises
     ------
@@ -80,15 +92,15 @@ def warped(
     ResultError
         No such folder or pairs file.
     """
-    unknown = [warp for warp in warps if warp not in WARPS]
+    unknown = [warp for warp in warps if warp not in ALL_WARPS]
     if unknown:
-        raise OptionError(f"unknown warp {unknown[0]!r}; there are {', '.join(WARPS)}")
+        raise OptionError(f"unknown warp {unknown[0]!r}; there are {', '.join(ALL_WARPS)}")
     if not 0 < share <= 1:
         raise OptionError(f"the share of faces to keep must lie in (0, 1], got {share!r}")
     return tuple(
         Layout(
             f"{layout.name}/{warp}",
-            tuple(WarpedPair(pair.name, pair, warp, share, number) for number, pair in enumerate(layout.pairs)),
+            tuple(_changed(pair, warp, share, number) for number, pair in enumerate(layout.pairs)),
             layout.problems,
         )
         for warp in warps

@@ -183,7 +183,12 @@ def _forecast(counts: list[int], options: Options) -> dict[str, Any]:
     from clalign.resources import available_memory, forecast
 
     predicted: Forecast = forecast(counts[0], counts[1], options)
-    return {"seconds": predicted.seconds, "memory": predicted.memory, "available": available_memory()}
+    return {
+        "seconds": predicted.seconds,
+        "doubt": predicted.stages["choice"],
+        "memory": predicted.memory,
+        "available": available_memory(),
+    }
 
 
 def repair_file(path: Path, out: Path, *, merge: bool, force: bool, component: int = 1) -> dict[str, Any]:
@@ -269,7 +274,8 @@ def _cost(predicted: dict[str, Any]) -> str:
     available = predicted["available"]
     free = "" if available is None else f" of {size_text(available)} that are free"
     too_much = " (TOO MUCH)" if available is not None and predicted["memory"] > available else ""
-    return f"about {duration_text(predicted['seconds'])}, {size_text(predicted['memory'])}{free}{too_much}"
+    more = f" ({duration_text(predicted['doubt'])} more if in doubt)"
+    return f"about {duration_text(predicted['seconds'])}{more}, {size_text(predicted['memory'])}{free}{too_much}"
 
 
 def _little_left(repaired: dict[str, Any]) -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add ``--start``, ``--landmarks``, ``--landmark-tolerance`` and ``--component``."""
+    """Add ``--start``, ``--landmarks``, ``--descriptors`` with what belongs to them, and ``--component``."""
     parser.add_argument(
         "--start",
         metavar="MAP",
@@ -44,6 +44,19 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         help="how far landmarks may be off, in sqrt(area); above 0 none is kept exactly (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--descriptors",
+        metavar="FILE",
+        nargs=2,
+        help="after the meshes; pointwise descriptors of source and target: .npy or text, one row a vertex, column i "
+        "the same quantity on both",
+    )
+    parser.add_argument(
+        "--descriptor-weight",
+        metavar="W",
+        type=float,
+        help="what their squared distances count, relative to those of the eigenfunctions (default: 0.25)",
     )
     parser.add_argument(
         "--component",
@@ -76,6 +89,8 @@ class PairInput:
     start_map : an alternative of the result that `start` names; 0 for its chosen map.
     landmarks : files.
     tolerance : of the landmarks, in sqrt(area).
+    descriptors : files of source and target, or none.
+    weight : of the descriptors; None for the usual one.
     """
 
     source: Path
@@ -85,6 +100,8 @@ class PairInput:
     start: str | None = None
     landmarks: tuple[str, ...] = ()
     tolerance: float = 0.0
+    descriptors: tuple[str, ...] = ()
+    weight: float | None = None
     start_map: int = 0
 
     @staticmethod
@@ -94,15 +111,25 @@ class PairInput:
         Raises
         ------
         OptionError
-            ``--component`` is no number, or a tolerance is given without landmarks, or an alternative without a start.
+            ``--component`` is no number, a tolerance is given without landmarks, a weight without descriptors, or an
+            alternative without a start.
         """
         if args.landmark_tolerance and not args.landmarks:
             raise OptionError("--landmark-tolerance belongs to --landmarks FILE")
+        if args.descriptor_weight is not None and not args.descriptors:
+            raise OptionError("--descriptor-weight belongs to --descriptors FILE FILE")
         if args.start_map and args.start is None:
             raise OptionError("--start-map N belongs to --start RESULT")
-        components, landmarks = chosen_components(args.component), tuple(args.landmarks)
         return PairInput(
-            args.source, args.target, *components, args.start, landmarks, args.landmark_tolerance, args.start_map
+            args.source,
+            args.target,
+            *chosen_components(args.component),
+            start=args.start,
+            landmarks=tuple(args.landmarks),
+            tolerance=args.landmark_tolerance,
+            descriptors=tuple(args.descriptors or ()),
+            weight=args.descriptor_weight,
+            start_map=args.start_map,
         )
 
     def meshes(self, options: SurfaceOptions) -> tuple[Mesh, Mesh]:
@@ -114,13 +141,19 @@ class PairInput:
         return source, load_mesh(self.target, strict=options.strict, component=self.target_component or of_all)
 
     def known(self, source: Mesh, target: Mesh) -> dict[str, Any]:
-        """Return the arguments of `clalign.match` that say what is known, with the files of landmarks read."""
+        """Return the arguments of `clalign.match` that say what is known, with their files read."""
         from clalign.mesh.landmarks import landmarks_of
 
         landmarks = landmarks_of(self.landmarks, source, target, self.tolerance) if self.landmarks else None
-        start: Any = self.start
+        known: dict[str, Any] = {"start": self.start, "landmarks": landmarks}
         if self.start_map:
             from clalign.correspondence import Correspondence
 
-            start = Correspondence.load(self.start or "").with_map(self.start_map)
-        return {"start": start, "landmarks": landmarks}
+            known["start"] = Correspondence.load(self.start or "").with_map(self.start_map)
+        if self.descriptors:
+            from clalign.transfer.value_files import read_values
+
+            known["descriptors"] = tuple(read_values(path) for path in self.descriptors)
+        if self.weight is not None:
+            known["descriptor_weight"] = self.weight
+        return known

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from clalign.collection.cluster import Task, open_client, outcomes, worker_count
-from clalign.collection.forecast import check_disk, needs, workers_that_fit
+from clalign.collection.forecast import Needs, check_disk, needs, workers_that_fit
 from clalign.collection.members import (
     PAIRINGS,
     Member,
@@ -70,24 +70,21 @@ def match_collection(
 ) -> Collection:
     """Match the pairs of a set of shapes in parallel, and make their maps consistent.
 
-    A program that calls this needs ``if __name__ == "__main__":`` around it, as workers are spawned.
-
     Parameters
     ----------
     shapes : a folder of meshes, a text file that lists meshes, or mesh files.
     out : folder of the collection; it and the meshes must be seen by all workers.
     options : of every match; see `Options`.
-    pairs : "all", "star" (one shape in the middle with every other), "tree" (every shape with one like it), or a file
-        with two names a line.
+    pairs : "all", "star" (one shape in the middle), "tree" (every shape with one like it), or a file of pairs of names.
     consistency : "repair" replaces maps that contradict the others, "all" makes the maps of all other pairs from the
         network too, "none" does neither; "auto" is "all" for a star and a tree and "repair" otherwise.
     scheduler : address of a Dask scheduler; None starts workers on this machine.
-    workers : local worker processes; None for as many as there are processors and memory for.
+    workers : local processes, None for as many as there are processors and memory for. They are spawned: a program that
+        calls this needs ``if __name__ == "__main__":`` around it.
     resume : go on with a collection in `out`: only what is missing, failed or out of date is computed.
     keep : "maps" stores both maps and C of a pair, "full" the whole `Correspondence` besides.
     latent : number L of LBO functions in the network.
-    cache : folder of prepared shapes, seen by all workers; ``out/shapes`` if None.
-    cache_limit : bytes that it may grow to; enough for all shapes if None.
+    cache, cache_limit : folder of prepared shapes, seen by all workers, and bytes that it may grow to.
     pages : writes a page into each pair's folder.
     progress : called as ``progress(stage, fraction, message)``.
 
@@ -101,11 +98,46 @@ def match_collection(
     ResultError
         The meshes, the pairs file or the folder cannot be used as asked.
     OptionError
-        A value outside its range, no scheduler, or other options than those of the collection to go on with.
+        A value outside its range, no scheduler, or other options than those of the collection gone on with.
     MemoryBudgetError
-        The workers would need more memory than there is.
+        The workers need more memory than there is.
     """
-    chosen = given_options(options)
+    _require_values(keep=keep, consistency=consistency, latent=latent, workers=workers)
+    plan = _planned(shapes, pairs, given_options(options), keep=keep, latent=latent, pages=pages is not None)
+    store = Store(out)
+    store.begin(plan.options, {"pairs": str(pairs), "latent": latent, "keep": keep}, resume=resume)
+    held = str(Path(cache or store.folder / CACHE_FOLDER).expanduser().absolute())
+    limit = round(CACHE_SLACK * plan.need.cache) if cache_limit is None else cache_limit
+    check_disk(plan.need.pairs + (0.0 if resume else min(limit, plan.need.cache)), store.folder)
+    settings = Settings(str(store.folder), plan.options, held, limit, keep, latent, pages)
+    return _carried_out(plan, settings, consistency, scheduler, workers, progress or _unwatched)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a collection is asked for.
+
+    Attributes
+    ----------
+    options : of every match.
+    members : the shapes.
+    pairing : "all", "star", "tree", or the name of a file of pairs.
+    listed : the pairs of that file; None where the shapes say which.
+    need : of memory and disk.
+    """
+
+    options: Options
+    members: Sequence[Member]
+    pairing: str
+    listed: Pairs | None
+    need: Needs
+
+
+def _unwatched(stage: str, fraction: float, message: str) -> None:
+    """Watch nothing."""
+
+
+def _require_values(*, keep: str, consistency: str, latent: int, workers: int | None) -> None:
     if keep not in ("maps", "full") or consistency not in ("auto", "none", "repair", "all"):
         raise OptionError(
             f"keep is 'maps' or 'full' and consistency 'auto', 'none', 'repair' or 'all'; got {keep!r} and "
@@ -113,24 +145,39 @@ def match_collection(
         )
     if latent < 2 or (workers is not None and workers < 1):
         raise OptionError(f"latent must be at least 2 and workers at least 1; got {latent} and {workers}")
+
+
+def _planned(
+    shapes: str | Path | Sequence[str | Path],
+    pairs: str | Path,
+    options: Options,
+    *,
+    keep: str,
+    latent: int,
+    pages: bool,
+) -> Plan:
     members = read_members(shapes)
-    names = [member.name for member in members]
-    listed = None if str(pairs) in PAIRINGS else listed_pairs(pairs, names)
+    listed = None if str(pairs) in PAIRINGS else listed_pairs(pairs, [member.name for member in members])
     count = len(listed) if listed is not None else len(members) * (len(members) - 1) // 2
-    need = needs(members, count, chosen, keep=keep, latent=latent, pages=pages is not None)
-    limit = round(CACHE_SLACK * need.cache) if cache_limit is None else cache_limit
-    store = Store(out)
-    store.begin(chosen, {"pairs": str(pairs), "latent": latent, "keep": keep}, resume=resume)
-    folder = Path(cache) if cache is not None else store.folder / CACHE_FOLDER
-    settings = Settings(str(store.folder), chosen, str(folder.expanduser().absolute()), limit, keep, latent, pages)
-    check_disk(need.pairs + (min(limit, need.cache) if not resume else 0.0), store.folder)
-    local = 0 if scheduler else workers_that_fit(need.worker, workers, processor_count())
-    job = Job(members, settings, progress or (lambda stage, fraction, message: None))
+    need = needs(members, count, options, keep=keep, latent=latent, pages=pages)
+    return Plan(options, members, str(pairs), listed, need)
+
+
+def _carried_out(
+    plan: Plan,
+    settings: Settings,
+    consistency: Consistency,
+    scheduler: str | None,
+    workers: int | None,
+    report: Progress,
+) -> Collection:
+    local = 0 if scheduler else workers_that_fit(plan.need.worker, workers, processor_count())
+    job = Job(plan.members, settings, report)
     if consistency == "auto":
-        consistency = "all" if str(pairs) in ("star", "tree") else "repair"
-    with store.lock(), open_client(scheduler, local, store.folder) as client:
-        job.report("start", 1.0, need.text(worker_count(client)))
-        job.match(client, str(pairs), listed)
+        consistency = "all" if plan.pairing in ("star", "tree") else "repair"
+    with job.store.lock(), open_client(scheduler, local, job.store.folder) as client:
+        job.report("start", 1.0, plan.need.text(worker_count(client)))
+        job.match(client, plan.pairing, plan.listed)
         if consistency != "none":
             job.make_consistent(client, everything=consistency == "all")
     return job.finished()

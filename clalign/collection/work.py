@@ -39,11 +39,11 @@ from clalign.maps.point_maps import PointMaps
 from clalign.matching.loop import Clock
 from clalign.matching.pair import match_shapes
 from clalign.matching.result import local_distortion, mesh_notes, versions
-from clalign.matching.stages import refined_maps, steps_before_alignment
+from clalign.matching.stages import joint_after, refined_maps, steps_before_alignment
 from clalign.matching.state import aligned_count
 from clalign.mesh.mesh import Mesh, load_mesh
 from clalign.options import Options
-from clalign.refinement.zoomout import BoundSpectra, two_way_steps
+from clalign.refinement.zoomout import BoundSpectra, joint_step, two_way_steps
 from clalign.storage.files import claim_kernel_folder
 
 try:
@@ -308,6 +308,8 @@ def derived_correspondence(
         steps = steps_before_alignment(options) + options.readout.steps
         spectra = BoundSpectra.of(*scale_invariant, backend)
         maps = two_way_steps(spectra, maps, steps, (source.order, target.order), backend)
+        if joint_after(options):
+            maps, _ = joint_step(source, target, spectra, options.spectrum.refinement, maps, backend)
     with clock.stage("start of R"):
         band, one_sided = funnel_band(count, options.alignment), options.alignment.sides == "one"
         start = least_squares_start(*scale_invariant, maps, band, backend, one_sided=one_sided)

@@ -8,18 +8,13 @@ d scale-invariant eigenfunctions, r columns of a low-rank distance factor.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clalign.engine.band import Band
 from clalign.engine.reference_arrays import Array, ArrayPair, ReferenceArrays, reciprocal, stored
-
-DistortionKind: TypeAlias = Literal["squared", "relative"]
-
-RELATIVE_DISTANCE_FLOOR = 0.05
-"""Added to the denominator of the relative distortion, in units of sqrt(area)."""
 
 BLOCK_ELEMENTS = 1 << 23
 """Elements of the largest intermediate, which bounds the memory of every operation here."""
@@ -220,21 +215,21 @@ class Reference(ReferenceArrays):
         )
 
     def distortion_batch(
-        self, dx: Array, dy: Array, w: Array, index: Array, kind: DistortionKind = "squared", *, out: Array = None
+        self, dx: Array, dy: Array, w: Array, index: Array, floor: float | None = None, *, out: Array = None
     ) -> Array:
         """For each column T of index (m, B): Σ_il w_i w_l e(dx[T_i, T_l], dy[i, l]), (B,).
 
-        e(a, b) = (a − b)² for "squared", |a − b| / (a + b + 0.05) for "relative". dx is (p, p), dy (m, m), w (m,).
+        e(a, b) = (a − b)², or with a `floor` > 0 the relative |a − b| / (a + b + floor). dx is (p, p), dy (m, m), w
+        (m,).
         """
         values = np.zeros(index.shape[1], dtype=dx.dtype)
-        floor = self.dtype.type(RELATIVE_DISTANCE_FLOOR)
         for column in range(index.shape[1]):
             chosen = index[:, column]
             mapped = dx[np.ix_(chosen, chosen)]
-            if kind == "squared":
+            if floor is None:
                 error = (mapped - dy) ** 2
             else:
-                error = np.abs(mapped - dy) / (mapped + dy + floor)
+                error = np.abs(mapped - dy) / (mapped + dy + self.dtype.type(floor))
             values[column] = w @ error @ w
         return stored(values, out)
 

@@ -34,19 +34,14 @@ from clalign.geometry.sampling import Samples, VertexOrder, spread_samples
 from clalign.geometry.spectra import Spectrum, solve
 from clalign.geometry.workers import processor_count, single_threaded_blas, thread_pool
 from clalign.memoize import memoize
+from clalign.mesh.descriptors import PointDescriptors
 from clalign.mesh.mesh import Mesh
 from clalign.options import GeodesicOptions, Options, SpectrumOptions
+from clalign.rules import ShapeRules
 
 logger = logging.getLogger(__name__)
 
 Part = TypeVar("Part", Spectrum, Geodesics)
-
-#: Functions that the orientation tensor is computed for.
-ORIENTATION_FUNCTIONS = 30
-#: Diffusion times of the signatures and of the smoothed curvatures, in units of area.
-SIGNATURE_TIMES = np.geomspace(0.002, 0.05, 6)
-CURVATURE_TIME = 0.001
-CURVATURE_QUANTILE = 0.98
 
 
 @dataclass(frozen=True)
@@ -64,9 +59,10 @@ class Shape:
     scale_invariant : scale-invariant eigenfunctions; their own mass is the conformal factor times `mass`.
     geodesics : distances from farthest-point samples.
     factors : low-rank factors of all distances.
-    orientation : (p, p, p) triple products of the first p ≤ 30 functions of the basis.
-    signatures : (n, 6) logarithm of the heat kernel signature at `SIGNATURE_TIMES`.
+    orientation : (p, p, p) triple products of the first p functions of the basis.
+    signatures : (n, s) logarithm of the heat kernel signature at the s times of the rules.
     curvatures : (n, 2) smoothed mean and Gaussian curvature.
+    given : descriptors of the user, beside those of the shape it is matched with; None without.
     """
 
     mesh: Mesh
@@ -81,6 +77,7 @@ class Shape:
     orientation: NDArray[np.float64]
     signatures: NDArray[np.float64]
     curvatures: NDArray[np.float64]
+    given: PointDescriptors | None = None
 
     @cached_property
     def order(self) -> VertexOrder:
@@ -112,7 +109,7 @@ def prepare(mesh: Mesh, options: Options, cache: ShapeCache | None = None) -> Sh
     Parameters
     ----------
     mesh : a connected surface of unit area.
-    options : the groups `spectrum` and `geodesics` are read.
+    options : the groups `spectrum`, `geodesics` and `rules.shape` are read.
     cache : where spectra and distances are looked up first and stored after; None computes them.
 
     Raises
@@ -149,7 +146,7 @@ def prepare_all(meshes: Sequence[Mesh], options: Options, cache: ShapeCache | No
         ]
         spectral = [_spectra(mesh, options.spectrum, cache) for mesh in meshes]
         return [
-            _shape(mesh, *spectra, geodesics.result())
+            _shape(mesh, *spectra, geodesics.result(), options.rules.shape)
             for mesh, spectra, geodesics in zip(meshes, spectral, distances, strict=True)
         ]
 
@@ -291,6 +288,7 @@ def _shape(
     basis: Spectrum,
     scale_invariant: Spectrum,
     geodesics: Geodesics,
+    rules: ShapeRules,
 ) -> Shape:
     mean = mean_curvature(mesh.vertices, mesh.faces, operators.mass, operators.stiffness)
     return Shape(
@@ -301,10 +299,15 @@ def _shape(
         scale_invariant=scale_invariant,
         geodesics=geodesics,
         factors=low_rank(geodesics, operators.mass),
-        orientation=orientation_tensor(mesh.faces, basis.functions[:, :ORIENTATION_FUNCTIONS]),
-        signatures=heat_signatures(basis, SIGNATURE_TIMES),
-        curvatures=smoothed_curvatures(basis, mean, operators.curvature),
+        orientation=orientation_tensor(mesh.faces, basis.functions[:, : rules.oriented_functions]),
+        signatures=heat_signatures(basis, signature_times(rules)),
+        curvatures=smoothed_curvatures(basis, mean, operators.curvature, rules),
     )
+
+
+def signature_times(rules: ShapeRules) -> NDArray[np.float64]:
+    """Return the diffusion times of the signatures, in units of area, in equal ratios."""
+    return np.geomspace(rules.first_time, rules.last_time, rules.signatures)
 
 
 def heat_signatures(basis: Spectrum, times: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -314,12 +317,12 @@ def heat_signatures(basis: Spectrum, times: NDArray[np.float64]) -> NDArray[np.f
 
 
 def smoothed_curvatures(
-    basis: Spectrum, mean: NDArray[np.float64], gaussian: NDArray[np.float64]
+    basis: Spectrum, mean: NDArray[np.float64], gaussian: NDArray[np.float64], rules: ShapeRules
 ) -> NDArray[np.float64]:
-    """Return (n, 2) mean and Gaussian curvature, cut at a quantile and diffused for `CURVATURE_TIME`.
+    """Return (n, 2) mean and Gaussian curvature, cut at a quantile and diffused.
 
     Curvature estimates have a few wild values at slivers and spikes; cutting first keeps them from spreading.
     """
     both = np.stack([mean, gaussian], axis=1)
-    limit = np.quantile(np.abs(both), CURVATURE_QUANTILE, axis=0)
-    return basis.diffused(basis.coefficients(np.clip(both, -limit, limit)), CURVATURE_TIME)
+    limit = np.quantile(np.abs(both), rules.curvature_quantile, axis=0)
+    return basis.diffused(basis.coefficients(np.clip(both, -limit, limit)), rules.curvature_time)

@@ -49,6 +49,22 @@ def permuted(rows: Any, order: VertexOrder, backend: Backend = HOST) -> Any:
     return backend.gather(uploaded(backend, rows), backend.array(order.vertices.astype(np.int32)))
 
 
+def beside(
+    embedded: Any, descriptors: NDArray[np.floating] | None, factor: NDArray[np.floating], backend: Backend
+) -> Any:
+    """Return an embedding (n, r) on the backend with descriptors beside it, (n, r + f); itself where there are none.
+
+    Parameters
+    ----------
+    descriptors : (n, f) on the host, rows as those of the embedding, with variances that sum to their weight.
+    factor : (k, r), by which orthonormal functions were turned into the embedding: it says how large that is.
+    """
+    if descriptors is None:
+        return embedded
+    scaled = (np.linalg.norm(factor) * descriptors).astype(backend.dtype)
+    return backend.array(np.concatenate([backend.numpy(embedded), scaled], axis=1))
+
+
 def nearest_rows(
     queries: Any, points: Any, guess: NDArray[np.integer] | None = None, backend: Backend = HOST
 ) -> NDArray[np.int64]:

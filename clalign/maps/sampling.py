@@ -19,9 +19,10 @@ from clalign.engine.reference import Reference
 from clalign.geometry.sampling import Samples, VertexOrder
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.functional_maps import MatchedRows, functional_map, singular_value_weighting
-from clalign.maps.nearest import nearest_vertices
+from clalign.maps.nearest import beside, nearest_vertices
 from clalign.maps.point_maps import PointMaps
 from clalign.maps.zoomout import zoomout
+from clalign.mesh.descriptors import PointDescriptors
 
 SINGLE = Reference(np.float32)
 """Where the small least squares of samples are summed."""
@@ -39,18 +40,27 @@ class SampledBasis:
     samples : S of the vertices.
     order : of the vertices.
     uploaded : the functions on a backend, rows in that order.
+    given : (n, f) descriptors that stand beside every embedding, rows in that order; None without. See `beside`.
     """
 
     functions: NDArray[np.float32]
     samples: Samples
     order: VertexOrder
     uploaded: Any
+    given: NDArray[np.float64] | None = None
 
     @staticmethod
-    def of(spectrum: Spectrum, samples: Samples, order: VertexOrder, backend: Backend) -> SampledBasis:
+    def of(
+        spectrum: Spectrum,
+        samples: Samples,
+        order: VertexOrder,
+        backend: Backend,
+        given: PointDescriptors | None = None,
+    ) -> SampledBasis:
         """Bind eigenfunctions to samples, and bring them to the backend once."""
         functions = spectrum.functions.astype(np.float32)
-        return SampledBasis(functions, samples, order, backend.array(functions[order.vertices]))
+        descriptors = None if given is None else given.weighted[order.vertices]
+        return SampledBasis(functions, samples, order, backend.array(functions[order.vertices]), descriptors)
 
     @property
     def count(self) -> int:
@@ -77,8 +87,12 @@ class SampledBasis:
         return self.sampled[:, :size]
 
     def embedded(self, factor: NDArray[np.float64], backend: Backend) -> Any:
-        """Return the first k functions times a factor (k, r), at all vertices in their order, on the backend."""
-        return backend.product(self.uploaded, backend.array(factor), leading=True)
+        """Return the first k functions times a factor (k, r), at all vertices in their order, on the backend.
+
+        Descriptors of the user stand beside them.
+        """
+        functions = backend.product(self.uploaded, backend.array(factor), leading=True)
+        return beside(functions, self.given, factor, backend)
 
 
 def sample_functional_map(

@@ -32,7 +32,14 @@ from clalign.refinement.landmarks import choose_by_landmarks
 from clalign.refinement.patches import patchwise_maps
 from clalign.refinement.precise import SurfacePoints, closest_points
 from clalign.refinement.rivals import choose_grown, in_doubt
-from clalign.refinement.zoomout import BoundSpectra, best_grown_map, two_way_step, two_way_steps, vertex_maps
+from clalign.refinement.zoomout import (
+    BoundSpectra,
+    best_grown_map,
+    joint_step,
+    two_way_step,
+    two_way_steps,
+    vertex_maps,
+)
 from clalign.search.find import find_isometry
 
 Report = Callable[[float, str], None]
@@ -167,13 +174,19 @@ def read_out(state: MatchState, backend: Backend, report: Report) -> Iterator[Ma
     spectra = BoundSpectra(
         *objective.scale_invariant,
         *(backend.array(side.mass) for side in (state.source.scale_invariant, state.target.scale_invariant)),
-    )
+    ).with_given(state.source, state.target)
     embedded = None
     for step in range(state.steps, state.options.readout.steps):
         # Let go of the last ones before there are more.
         embedded = None
         maps, embedded = two_way_step(spectra, maps, objective.orders, backend)
         state = replace(state, maps=maps, steps=step + 1)
+        yield state
+    if joint_after(state.options) and not state.joined:
+        embedded = None
+        size = state.options.spectrum.refinement
+        maps, embedded = joint_step(state.source, state.target, spectra, size, maps, backend)
+        state = replace(state, maps=maps, joined=True)
         yield state
     if state.options.readout.subvertex:
         yield replace(state, points=_points(state, objective, aligned.rotation, embedded, maps, backend))
@@ -210,7 +223,7 @@ STAGES = (
         lambda state: (
             not (state.rivals_grown or state.interrupted or state.landmarks is not None)
             and state.found is not None
-            and in_doubt(state.found, state.options.rules.rivals)
+            and in_doubt(state.found, wanted_sign(state), state.options.rules)
         ),
         choose,
     ),
@@ -243,6 +256,11 @@ def refined_maps(
 def steps_before_alignment(options: Options) -> int:
     """Return how many two-way steps come before R; maps from patches have had enough of them."""
     return 0 if options.readout.refine == "patches" else options.readout.steps
+
+
+def joint_after(options: Options) -> bool:
+    """Return whether the last steps end with one in both bases."""
+    return options.readout.joint and options.readout.steps > 0
 
 
 def bind(

@@ -19,21 +19,16 @@ from clalign.maps.nearest import nearest_rows
 from clalign.maps.point_maps import check_map, read_map
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.topology import vertex_normals
-from clalign.rules import Rules
+from clalign.rules import Rules, StartRules
 from clalign.search.batch import SamplePair, up_sample
 from clalign.search.find import Candidate, SearchResult
 from clalign.search.score import map_scores
 
 AS_THEY_LIE = "extrinsic"
 RIGID = "rigid"
-NORMALS = 0.1
-"""How far apart two vertices at one place count whose normals are at right angles, in sqrt(2 area)."""
-RIGID_STEPS = 50
-TRIMMED = 0.7
-"""Share of the vertices, the closest ones, that a rigid motion is fitted to: what moved otherwise is left out."""
 
 
-def starting_map(start: Any, source: Mesh, target: Mesh) -> NDArray[np.int64]:
+def starting_map(start: Any, source: Mesh, target: Mesh, rules: StartRules) -> NDArray[np.int64]:
     """Take a start in any form a caller may hold it in.
 
     Parameters
@@ -60,7 +55,7 @@ def starting_map(start: Any, source: Mesh, target: Mesh) -> NDArray[np.int64]:
         `start` is none of these, does not fit the meshes, or knows too few vertices.
     """
     if isinstance(start, str) and start in (AS_THEY_LIE, RIGID):
-        found = lying_map(source, target, rigid=start == RIGID)
+        found = lying_map(source, target, rules, rigid=start == RIGID)
     elif isinstance(start, (tuple, list)) and len(start) == 3 and np.ndim(start[0]) == 2:
         found = _of_functional_map(start[0], start[1], start[2], source, target)
     else:
@@ -110,7 +105,7 @@ def _of_functional_map(functional: Any, phi: Any, psi: Any, source: Mesh, target
     return nearest_rows(source.from_file(of_source) @ matrix.T, target.from_file(of_target))
 
 
-def lying_map(source: Mesh, target: Mesh, *, rigid: bool) -> NDArray[np.int64]:
+def lying_map(source: Mesh, target: Mesh, rules: StartRules, *, rigid: bool) -> NDArray[np.int64]:
     """Return the nearest target vertex of every source vertex (n_x,) in space and normal, in the files' coordinates.
 
     rigid : first bring the source onto the target by a rigid motion, found by iterated closest points (Besl & McKay
@@ -119,15 +114,15 @@ def lying_map(source: Mesh, target: Mesh, *, rigid: bool) -> NDArray[np.int64]:
     unit = target.scale
     points, others = source.file_vertices() / unit, target.file_vertices() / unit
     normals, other_normals = (vertex_normals(mesh.vertices, mesh.faces) for mesh in (source, target))
-    tree = cKDTree(np.concatenate([others, NORMALS * other_normals], axis=1))
+    tree = cKDTree(np.concatenate([others, rules.normals * other_normals], axis=1))
 
     def nearest() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        distance, index = tree.query(np.concatenate([points, NORMALS * normals], axis=1))
+        distance, index = tree.query(np.concatenate([points, rules.normals * normals], axis=1))
         return distance, index.astype(np.int64)
 
     distance, index = nearest()
-    for _ in range(RIGID_STEPS if rigid else 0):
-        close = np.argsort(distance, kind="stable")[: max(int(TRIMMED * len(distance)), 3)]
+    for _ in range(rules.rigid_steps if rigid else 0):
+        close = np.argsort(distance, kind="stable")[: max(int(rules.trimmed * len(distance)), 3)]
         middle, other_middle = points[close].mean(axis=0), others[index[close]].mean(axis=0)
         left, _, right = np.linalg.svd((points[close] - middle).T @ (others[index[close]] - other_middle))
         proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
@@ -159,7 +154,7 @@ def started(source: Shape, target: Shape, matches: NDArray[np.int64], rules: Rul
     points = pair.fitted(rules.search.fine.last).points
     chosen = Candidate(
         batch.functional[0].astype(np.float64),
-        float(map_scores(pair, batch, points)[0]),
+        float(map_scores(pair, batch, points, rules.search)[0]),
         float(pair.orientations(batch, rules.search.scored_products)[0]),
         0.0,
     )

@@ -65,6 +65,7 @@ class MatchState:
     aligned : R after the optimisation.
     functional_map : (k, k) C of R (Eq. 11, 26).
     steps : two-way steps of the read-out that have been made.
+    joined : the step in both bases has been made.
     points : of the target, for every source vertex; None without the precise read-out.
     interrupted : Ctrl-C cut short what was left.
     """
@@ -87,6 +88,7 @@ class MatchState:
     aligned: AlignedRotation | None = None
     functional_map: NDArray[np.float64] | None = None
     steps: int = 0
+    joined: bool = False
     points: SurfacePoints | None = None
     interrupted: bool = False
 

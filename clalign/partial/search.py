@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.part_rules import PartSearchRules
 from clalign.partial.intervals import Floats, Intervals, misfits, tolerances
+from clalign.rules.parts import PartSearchRules
 from clalign.search.batch import without_duplicates
 
 

@@ -17,7 +17,7 @@ from clalign.geometry.shape import stored_basis, stored_geodesics
 from clalign.geometry.spectra import Spectrum
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.topology import boundary_vertices
-from clalign.part_rules import PartRules
+from clalign.rules.parts import PartRules
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,7 +69,7 @@ def choose_by_landmarks(
         every.append(up_sample(pair, start[None], rules.search.settle).functional[0])
     batch = up_sample(pair, _of_one_size(every, size), [level])
     misses = np.array([_miss(source, target, landmarks, rows, each, limits) for each in batch.functional])
-    scores = map_scores(pair, batch, level.points)
+    scores = map_scores(pair, batch, level.points, rules.search)
     orientation = pair.orientations(batch, rules.search.scored_products)
     failed = facing(orientation, sign) <= rules.search.least_orientation
     least = misses.min() if failed.all() else misses[~failed].min()

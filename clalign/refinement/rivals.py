@@ -22,12 +22,20 @@ from clalign.refinement.zoomout import sampled_bases
 from clalign.rules import RivalRules, Rules
 from clalign.search.batch import SamplePair, different, map_distances, up_sample
 from clalign.search.find import Candidate, SearchResult
-from clalign.search.score import facing, map_scores, margin_over, over
+from clalign.search.score import facing, given_factors, map_scores, margin_over, over
 
 
-def in_doubt(found: SearchResult, rules: RivalRules) -> bool:
-    """Return whether the search has found rivals that it cannot tell from the chosen map."""
-    return bool(found.alternatives) and (found.chosen.score < rules.exact or found.confidence < rules.doubtful)
+def in_doubt(found: SearchResult, sign: float, rules: Rules) -> bool:
+    """Return whether the search has found rivals that it cannot tell from the chosen map.
+
+    sign : +1 where the orientation is to be kept, −1 where it is to be reversed, 0 where it is free.
+    """
+    if not found.alternatives:
+        return False
+    limits, chosen = rules.rivals, found.chosen
+    failed = bool(facing(np.array(chosen.orientation), sign) <= rules.search.least_orientation)
+    as_exact = min(each.score for each in found.alternatives) < limits.rounded
+    return failed or as_exact or chosen.score < limits.exact or found.confidence < limits.doubtful
 
 
 def stretch_energy(source: Shape, target: Shape, target_of_source: NDArray[np.int64], rules: RivalRules) -> float:
@@ -106,7 +114,9 @@ def choose_grown(
         ways = (source, target, maps.target_of_source), (target, source, maps.source_of_target)
         energies[number] = limits.least_energy + sum(stretch_energy(*way, limits) for way in ways)
     batch = up_sample(pair, functional, [level])
-    scores = map_scores(pair, batch, level.points)
+    scores, given = map_scores(pair, batch, level.points, rules.search), given_factors(pair, batch, rules.search)
+    # What a user knows of the points counts like a tear; it is in the score already.
+    energies *= given[:count]
     orientation = pair.orientations(batch, rules.search.scored_products)
     failed = facing(orientation, sign) <= rules.search.least_orientation
     order = [*np.lexsort((energies, failed[:count])), *range(count, len(every))]
@@ -115,7 +125,7 @@ def choose_grown(
     distinct = different(distances, np.array(alike), rules.search.distinct)
     # Of what was not grown only the ratio of the search's scores is known.
     searched = over(np.array([each.score for each in every]), found.chosen.score)
-    ratios = np.concatenate([_ratios(energies, scores[:count], order[0], limits), searched[count:]])
+    ratios = np.concatenate([_ratios(energies, (scores / given)[:count], order[0], limits), searched[count:]])
     chosen, *others = (
         Candidate(functional[each], float(scores[each]), float(orientation[each]), float(distances[order[0], each]))
         for each in distinct

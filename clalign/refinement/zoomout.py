@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from clalign.maps.functional_maps import (
     told_apart,
     two_way_least_squares,
 )
-from clalign.maps.nearest import Orders, nearest_rows, permuted, point_maps
+from clalign.maps.nearest import Orders, beside, nearest_rows, permuted, point_maps
 from clalign.maps.point_maps import PointMaps
 from clalign.maps.sampling import SampledBasis
 from clalign.maps.zoomout import zoomout
@@ -43,7 +43,7 @@ def grown_map(
     """Return the functional map grown to `size` functions (ZoomOut on samples of Y against all vertices of X).
 
     Every point map is read from the polar factor of the functional map: an isometry's is orthogonal. Pointwise
-    descriptors stand beside the eigenfunctions with a strength that grows with their number.
+    descriptors, those of the user too, stand beside the eigenfunctions with a strength that grows with their number.
 
     Parameters
     ----------
@@ -61,12 +61,16 @@ def grown_map(
     functional = functional[:kept, :kept]
     beside_x, beside_y = pointwise_descriptors(source, target, functional, schedule.descriptors, rules)
     beside_x, beside_y = beside_x[order], beside_y[queried.vertices]
+    given_x, given_y = _weighted(source, order), _weighted(target, queried.vertices)
 
     def read(current: NDArray[np.float64], guess: NDArray[np.int64] | None, _: int) -> NDArray[np.int64]:
         count = len(current)
         scale = np.sqrt(schedule.strength * count / beside_x.shape[1])
-        queries = np.concatenate([basis[:, :count] @ polar_factor(current), scale * beside_y], axis=1)
-        points = np.concatenate([functions[:, :count], scale * beside_x], axis=1, dtype=backend.dtype)
+        queries = np.concatenate(
+            [basis[:, :count] @ polar_factor(current), scale * beside_y, np.sqrt(count) * given_y], axis=1
+        )
+        own = functions[:, :count], scale * beside_x, np.sqrt(count) * given_x
+        points = np.concatenate(own, axis=1, dtype=backend.dtype)
         return nearest_rows(queries, points, guess, backend)
 
     def fit(index: NDArray[np.int64], wanted: int) -> NDArray[np.float64]:
@@ -74,6 +78,11 @@ def grown_map(
         return functional_map([rows], gram[:wanted, :wanted])
 
     return zoomout(sizes, read, fit, functional=functional)[0]
+
+
+def _weighted(shape: Shape, vertices: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the user's descriptors of some vertices (m,), with their weight; (m, 0) without."""
+    return np.zeros((len(vertices), 0)) if shape.given is None else shape.given.weighted[vertices]
 
 
 def _in_order(samples: Samples, shape: Shape) -> Samples:
@@ -94,7 +103,8 @@ def best_grown_map(
     pair = SamplePair.of(source, target, backend)
     level = pair.fit(len(grown[0]), inside.queries, inside.queries)
     cut = np.array([each[: level.size, : level.size] for each in grown], dtype=np.float32)
-    return grown[int(np.argmin(map_scores(pair, up_sample(pair, cut, [level]), level.points)))]
+    scores = map_scores(pair, up_sample(pair, cut, [level]), level.points, rules.search)
+    return grown[int(np.argmin(scores))]
 
 
 def vertex_maps(source: Shape, target: Shape, functional: NDArray[np.float64], backend: Backend) -> PointMaps:
@@ -110,7 +120,7 @@ def sampled_bases(
 ) -> tuple[SampledBasis, SampledBasis]:
     """Return eigenfunctions of both shapes bound to the samples that the rules ask for."""
     x, y = (
-        SampledBasis.of(spectrum, shape.samples(rules.samples), shape.order, backend)
+        SampledBasis.of(spectrum, shape.samples(rules.samples), shape.order, backend, shape.given)
         for shape, spectrum in zip((source, target), spectra, strict=True)
     )
     return x, y
@@ -124,12 +134,15 @@ class BoundSpectra:
     ----------
     source, target : (n_x, d) and (n_y, d).
     source_mass, target_mass : (n_x,) and (n_y,), in which they are orthonormal.
+    source_given, target_given : (n_x, f) and (n_y, f) on the host, weighted descriptors of the user; None without.
     """
 
     source: Any
     target: Any
     source_mass: Any
     target_mass: Any
+    source_given: NDArray[np.float64] | None = None
+    target_given: NDArray[np.float64] | None = None
 
     @staticmethod
     def of(source: Spectrum, target: Spectrum, backend: Backend) -> BoundSpectra:
@@ -137,14 +150,23 @@ class BoundSpectra:
         functions = backend.array(source.functions), backend.array(target.functions)
         return BoundSpectra(*functions, backend.array(source.mass), backend.array(target.mass))
 
+    def with_given(self, source: Shape, target: Shape) -> BoundSpectra:
+        """Return the same with the user's descriptors of both shapes, if there are any, beside the functions."""
+        x, y = (None if shape.given is None else shape.given.weighted for shape in (source, target))
+        return replace(self, source_given=x, target_given=y)
+
     def functional_map(self, maps: PointMaps, backend: Backend) -> NDArray[np.float64]:
         """Return the functional map (d, d) that explains maps of all vertices best."""
         return two_way_least_squares(self.source, self.target, self.source_mass, self.target_mass, maps, backend)
 
     def weighted(self, functional: NDArray[np.float64], backend: Backend) -> tuple[Any, Any]:
-        """Return (n_x, d) and (n_y, d): the functions turned onto each other and weighted by singular values."""
+        """Return (n_x, d) and (n_y, d): the functions turned onto each other and weighted by singular values.
+
+        With descriptors there are so many columns more.
+        """
         x, y = singular_value_weighting(functional)
-        return backend.product(self.source, backend.array(x)), backend.product(self.target, backend.array(y))
+        source, target = backend.product(self.source, backend.array(x)), backend.product(self.target, backend.array(y))
+        return beside(source, self.source_given, x, backend), beside(target, self.target_given, y, backend)
 
 
 def two_way_step(
@@ -154,6 +176,40 @@ def two_way_step(
     embedded = spectra.weighted(spectra.functional_map(maps, backend), backend)
     x, y = (permuted(rows, order, backend) for rows, order in zip(embedded, orders, strict=True))
     return point_maps(x, y, orders, maps, backend), embedded
+
+
+def joint_step(
+    source: Shape, target: Shape, spectra: BoundSpectra, size: int, maps: PointMaps, backend: Backend
+) -> tuple[PointMaps, tuple[NDArray[np.floating], NDArray[np.floating]]]:
+    """Return the maps after a two-way step in two bases side by side, and the embeddings, on the host.
+
+    What the metric of one basis passes over the other sees: thin parts have many scale-invariant functions, broad ones
+    few. Each basis has a functional map and singular values of its own.
+
+    Parameters
+    ----------
+    source, target : shapes with as many Laplace–Beltrami functions as there are.
+    spectra : the scale-invariant functions.
+    size : at most so many Laplace–Beltrami functions are used.
+    """
+    count = min(size, source.basis.count, target.basis.count)
+    embedded = [_on_host(spectra, maps, backend)]
+    # Brought to the backend when the other basis is embedded, and let go of before matches are looked for.
+    low = BoundSpectra.of(source.basis.head(count), target.basis.head(count), backend).with_given(source, target)
+    embedded.append(_on_host(low, maps, backend))
+    del low
+    x, y = (np.concatenate(sides, axis=1) for sides in zip(*embedded, strict=True))
+    orders = source.order, target.order
+    first, second = (backend.array(side[order.vertices]) for side, order in zip((x, y), orders, strict=True))
+    return point_maps(first, second, orders, maps, backend), (x, y)
+
+
+def _on_host(
+    spectra: BoundSpectra, maps: PointMaps, backend: Backend
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Return the embeddings of a two-way step, (n_x, d) and (n_y, d)."""
+    x, y = spectra.weighted(spectra.functional_map(maps, backend), backend)
+    return backend.numpy(x), backend.numpy(y)
 
 
 def two_way_steps(spectra: BoundSpectra, maps: PointMaps, steps: int, orders: Orders, backend: Backend) -> PointMaps:

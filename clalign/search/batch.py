@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.engine.backend import Backend
-from clalign.engine.reference import DistortionKind
 from clalign.geometry.heat import prefix_shares
 from clalign.geometry.shape import Shape
 from clalign.maps.functional_maps import told_apart
 from clalign.maps.orientation import orientation_scores
 from clalign.maps.zoomout import zoomout
 from clalign.memoize import memoize
+from clalign.mesh.descriptors import PointDescriptors
 from clalign.rules import Level
 
 
@@ -40,6 +40,7 @@ class SampledShape:
     tensor : (p, p, p) float64, O[a, b, c] = <phi_c, n . (grad phi_a x grad phi_b)>.
     signatures : (S, 6) float64, log heat kernel signatures.
     curvatures : (S, 2) float64, smoothed mean and Gaussian curvature.
+    given : (S, f) descriptors of the user; None without.
     """
 
     functions: NDArray[np.float64]
@@ -49,6 +50,7 @@ class SampledShape:
     tensor: NDArray[np.float64]
     signatures: NDArray[np.float64]
     curvatures: NDArray[np.float64]
+    given: PointDescriptors | None = None
 
     @staticmethod
     def of(shape: Shape) -> SampledShape:
@@ -62,6 +64,7 @@ class SampledShape:
             tensor=shape.orientation,
             signatures=shape.signatures[vertices],
             curvatures=shape.curvatures[vertices],
+            given=None if shape.given is None else shape.given.at(vertices),
         )
 
     @property
@@ -185,7 +188,13 @@ class SamplePair:
         return Batch(np.ascontiguousarray(values.transpose(1, 0, 2)), self.backend.numpy(index))
 
 
-def newton_schulz(functional: NDArray[np.float32], steps: int = 8) -> NDArray[np.float32]:
+POLAR_STEPS = 8
+"""Newton–Schulz steps: more of them fill in what a map hardly carries, with fewer a good map is not orthogonal."""
+POLAR_START = 1.7
+"""Largest singular value that the steps start from: from sqrt(3) on they diverge."""
+
+
+def newton_schulz(functional: NDArray[np.float32], steps: int = POLAR_STEPS) -> NDArray[np.float32]:
     """Bring functional maps (B, k, k) close to their polar factors by Newton–Schulz steps, C ← C (3 I − CᵀC) / 2.
 
     Singular values above about 0.05 end at 1; directions that a map does not carry at all stay small, instead of being
@@ -195,7 +204,7 @@ def newton_schulz(functional: NDArray[np.float32], steps: int = 8) -> NDArray[np
     size = functional.shape[1]
     # Largest singular values stay below 2 in practice; the Frobenius norm bounds the scale of degenerate maps.
     largest = np.minimum(norms, np.maximum(2.0, 2.0 * norms / np.sqrt(size)))
-    current = functional * (1.7 / np.maximum(largest, 1e-6))[:, None, None].astype(np.float32)
+    current = functional * (POLAR_START / np.maximum(largest, 1e-6))[:, None, None].astype(np.float32)
     for _ in range(steps):
         gram = np.matmul(current.transpose(0, 2, 1), current)
         current = 1.5 * current - 0.5 * np.matmul(current, gram)
@@ -226,11 +235,11 @@ def up_sample(pair: SamplePair, functional: NDArray[np.floating], levels: Iterab
 
 
 def distortions(
-    pair: SamplePair, index: NDArray[np.int32], points: int, kind: DistortionKind = "squared"
+    pair: SamplePair, index: NDArray[np.int32], points: int, floor: float | None = None
 ) -> NDArray[np.float64]:
-    """Return each candidate's geodesic distortion, squared or relative, weighted over pairs of samples."""
+    """Return each candidate's geodesic distortion over pairs of samples, squared, or relative with a floor."""
     distances_x, distances_y, weights = pair.distances(index.shape[0], points)
-    values = pair.backend.distortion_batch(distances_x, distances_y, weights, pair.backend.array(index), kind=kind)
+    values = pair.backend.distortion_batch(distances_x, distances_y, weights, pair.backend.array(index), floor)
     return pair.backend.numpy(values).astype(np.float64)
 
 

@@ -16,7 +16,7 @@ from clalign.rules import SearchRules
 from clalign.search.batch import Batch, SampledShape, SamplePair, different, least_distorted, map_distances, up_sample
 from clalign.search.score import margin_over, over, ranked
 from clalign.search.symmetries import composed, self_maps, unfolded_again, widened
-from clalign.search.tips import tip_candidates
+from clalign.search.tips import given_candidates, tip_candidates
 from clalign.search.tree import grow
 
 
@@ -112,9 +112,9 @@ def _mirrored(candidate: Candidate) -> Candidate:
 def _search(pair: SamplePair, rules: SearchRules, report: Callable[[float], None]) -> SearchResult:
     of_trees = _tree_candidates(pair, rules, report)
     report(0.75)
-    of_tips = tip_candidates(pair, rules)
+    beside = [each for each in (tip_candidates(pair, rules), given_candidates(pair, rules)) if len(each)]
     report(0.8)
-    fine = up_sample(pair, _joined([of_trees, of_tips]) if len(of_tips) else of_trees, rules.fine)
+    fine = up_sample(pair, _joined([of_trees, *beside]) if beside else of_trees, rules.fine)
     points = pair.fitted(rules.fine.last).points
     ranking = ranked(pair, _first_found(pair, fine, len(of_trees), points, rules), points, rules)
     report(1.0)

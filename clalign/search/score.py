@@ -55,6 +55,20 @@ def descriptor_differences(
     return np.einsum("m,mbf->bf", weights, differences) / np.maximum(spread, 1e-12)
 
 
+def given_factors(pair: SamplePair, batch: Batch, rules: SearchRules) -> NDArray[np.float64]:
+    """Return (B,) root mean square differences of pulled-back descriptors of the user, to a power of their weight.
+
+    They are relative to the spread of the descriptors; without any, 1.
+    """
+    source, target = pair.source.given, pair.target.given
+    if source is None or target is None:
+        return np.ones(batch.count)
+    weights = pair.target.prefix_weights(batch.index.shape[0])
+    own = target.values[: len(weights)]
+    squares = [weights @ np.square(source.values[column] - own).sum(axis=1) for column in batch.index.T]
+    return np.asarray((np.sqrt(squares) + rules.given_floor) ** (rules.given_power * target.weight), dtype=np.float64)
+
+
 def commutativity(batch: Batch, source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ‖C Λ_X − Λ_Y C‖² / ‖Λ_Y‖² of each candidate (an isometry commutes with the Laplacian)."""
     size = batch.functional.shape[1]
@@ -62,10 +76,11 @@ def commutativity(batch: Batch, source: NDArray[np.float64], target: NDArray[np.
     return np.sum((batch.functional * gap) ** 2, axis=(1, 2)) / np.sum(target[:size] ** 2)
 
 
-def map_scores(pair: SamplePair, batch: Batch, points: int) -> NDArray[np.float64]:
+def map_scores(pair: SamplePair, batch: Batch, points: int, rules: SearchRules) -> NDArray[np.float64]:
     """Return each candidate's score, a product of five unit-free ones without weights; lower is better.
 
-    Relative distortion · mean curvature · Gaussian curvature · log-HKS · commutativity with the Laplacian.
+    Relative distortion · mean curvature · Gaussian curvature · log-HKS · commutativity with the Laplacian, times the
+    difference of the user's descriptors where there are any.
     """
     weights = pair.target.prefix_weights(batch.index.shape[0])
     queries = len(weights)
@@ -73,10 +88,11 @@ def map_scores(pair: SamplePair, batch: Batch, points: int) -> NDArray[np.float6
     curvature = descriptor_differences(source.curvatures, target.curvatures[:queries], batch.index, weights)
     signature = descriptor_differences(source.signatures, target.signatures[:queries], batch.index, weights).sum(axis=1)
     return np.asarray(
-        distortions(pair, batch.index, points, "relative")
+        distortions(pair, batch.index, points, rules.distance_floor)
         * np.prod(curvature, axis=1)
         * signature
-        * commutativity(batch, source.eigenvalues, target.eigenvalues),
+        * commutativity(batch, source.eigenvalues, target.eigenvalues)
+        * given_factors(pair, batch, rules),
         dtype=np.float64,
     )
 
@@ -102,7 +118,7 @@ def facing(orientation: NDArray[np.float64], sign: float) -> NDArray[np.float64]
 
 def ranked(pair: SamplePair, batch: Batch, points: int, rules: SearchRules) -> Ranking:
     """Rank candidates by `map_scores`, those with an orientation above the least one before the others."""
-    scores = map_scores(pair, batch, points)
+    scores = map_scores(pair, batch, points, rules)
     orientation = pair.orientations(batch, rules.scored_products)
     order = np.lexsort((scores, orientation <= rules.least_orientation))
     batch, scores, orientation = batch.take(order), scores[order], orientation[order]

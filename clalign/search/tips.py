@@ -11,6 +11,7 @@ from itertools import combinations, permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.maps.nearest import nearest_rows
 from clalign.rules import SearchRules, TipRules
 from clalign.search.batch import Batch, SampledShape, SamplePair, least_distorted, up_sample
 from clalign.search.symmetries import widened
@@ -108,7 +109,22 @@ def _to_tips(shape: SampledShape, chosen: NDArray[np.int64]) -> NDArray[np.float
 
 def tip_candidates(pair: SamplePair, rules: SearchRules) -> NDArray[np.float32]:
     """Return candidates from matched tips, (B, k, k) of the size at which all candidates are compared; maybe none."""
-    started = tip_initial_maps(pair, rules.tips)
+    return settled_candidates(pair, tip_initial_maps(pair, rules.tips), rules)
+
+
+def given_candidates(pair: SamplePair, rules: SearchRules) -> NDArray[np.float32]:
+    """Return the candidate, if any, from samples with the most similar descriptors of the user."""
+    level = pair.fitted(rules.first_given)
+    if pair.source.given is None or pair.target.given is None:
+        return np.zeros((0, level.size, level.size), dtype=np.float32)
+    points, queries = pair.source.given.values[: level.points], pair.target.given.values[: level.queries]
+    index = nearest_rows(queries, points, backend=pair.backend).astype(np.int32)[:, None]
+    functional = pair.functional_maps(pair.backend.array(index), level.size, level)
+    return settled_candidates(pair, pair.download(functional, pair.backend.array(index)), rules)
+
+
+def settled_candidates(pair: SamplePair, started: Batch, rules: SearchRules) -> NDArray[np.float32]:
+    """Return initial maps brought to the size at which all candidates are compared, those that keep the orientation."""
     if not started.count:
         return started.functional
     settled = up_sample(pair, started.functional, rules.settle)

@@ -50,6 +50,18 @@ def test_a_start_and_landmarks_lead_to_the_map(pair: Given, tmp_path: Path) -> N
     assert again == 0
 
 
+def test_descriptors_are_read_from_files(pair: Given, tmp_path: Path) -> None:
+    """Coordinates carried by the truth, with the usual weight and a heavy one."""
+    values = shapes.bumpy_sphere(2)[0]
+    np.save(tmp_path / "a.npy", values)
+    np.savetxt(tmp_path / "b.csv", values[np.argsort(pair[2])], delimiter=",")
+    searched = ("--set", "search.method=tree", "--set", "readout.steps=2")
+    for more in ((), ("--descriptor-weight", "5", "--force")):
+        assert match(pair, "--descriptors", tmp_path / "a.npy", tmp_path / "b.csv", *searched, *more) == 0
+        found = np.loadtxt(tmp_path / "result" / "target_of_source.txt", dtype=int)
+        assert np.mean(found == pair[2]) > 0.9
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [
@@ -58,6 +70,9 @@ def test_a_start_and_landmarks_lead_to_the_map(pair: Given, tmp_path: Path) -> N
         (["--landmarks", "pairs.csv", "--landmark-tolerance", "-1"], "must not be negative"),
         (["--start", "none.txt"], "none.txt: cannot be read"),
         (["--component", "0"], "expected one number from 1"),
+        (["--descriptor-weight", "2"], "--descriptor-weight belongs to --descriptors FILE FILE"),
+        (["--descriptors", "none.npy", "none.npy"], "none.npy: cannot be read"),
+        (["--descriptors", "pairs.csv", "pairs.csv"], "descriptors of the source: 1 rows, and a has 162 vertices"),
     ],
 )
 def test_what_is_wrong_is_one_line(

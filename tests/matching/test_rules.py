@@ -19,13 +19,14 @@ from clalign.geometry.shape import prepare, with_scale_invariant
 from clalign.matching.loop import Clock, run_stages
 from clalign.matching.result import _doubts, _with_landmarks
 from clalign.matching.stages import start_rotation, use_landmarks
+from clalign.matching.start import RIGID, starting_map
 from clalign.matching.state import MatchState, required
 from clalign.mesh.landmarks import landmarks_of
 from clalign.mesh.mesh import mesh_from_arrays
 from clalign.option_values import leaves
 from clalign.options import Options
 from clalign.refinement.rivals import in_doubt
-from clalign.rules import JudgementRules, RivalRules, Rules
+from clalign.rules import JudgementRules, Rules
 from clalign.search.batch import SampledShape, SamplePair
 from clalign.search.find import Candidate, SearchResult
 from clalign.search.tips import tip_candidates
@@ -65,8 +66,9 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
         known = landmarks_of([[0, int(middle.truth.target_of_source[0])]], source.mesh, target.mesh)
         *_, state = use_landmarks(dataclasses.replace(state, landmarks=known), kernels, lambda *_: None)
         _with_landmarks(state, required(state.maps))
+        starting_map(RIGID, source.mesh, target.mesh, options.rules.start)
         found = required(state.found)
-        in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), RivalRules(doubtful=0.0))
+        in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), 1.0, Options().rules)
     # Judged in the result, and read by collections, parts or registrations only.
     elsewhere = {"JudgementRules", "CollectionRules", "PartRules", "RegistrationRules", "Rules"}
     expected = {

@@ -21,6 +21,7 @@ from clalign.maps.point_maps import write_map
 from clalign.matching.pair import match
 from clalign.matching.start import lying_map, starting_map
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
+from clalign.rules import StartRules
 
 OPTIONS = MIDDLE.replace({"alignment.outer_iterations": 1})
 
@@ -70,7 +71,7 @@ def test_a_map_with_errors_or_an_earlier_result(
         given = damaged(truth, np.random.default_rng(0)) if form == "file" else searched.target_of_source
         if form == "file":
             write_map(tmp_path / "map.txt", given)
-        np.testing.assert_array_equal(starting_map(start, source, target), given)
+        np.testing.assert_array_equal(starting_map(start, source, target, StartRules()), given)
         return
     result = match(source, target, OPTIONS, start=start)
     assert mean_error(result, truth) <= mean_error(searched, truth) + 2e-3
@@ -99,14 +100,14 @@ def test_shapes_that_lie_on_each_other(bodies: Bodies) -> None:
     faces = source.file_faces
     deformed, deformed_faces, truth = shapes.renumbered(source.file_positions() * [1.0, 1.04, 0.97], faces, 9)
     lying = mesh_from_arrays(deformed, deformed_faces, "lying")
-    found = lying_map(source, lying, rigid=False)
+    found = lying_map(source, lying, StartRules(), rigid=False)
     assert np.mean(found == truth) > 0.6
     result = match(source, lying, OPTIONS, start="extrinsic")
     assert mean_error(result, truth) < 0.02
     turn = Rotation.from_euler("xyz", [0.12, -0.1, 0.12])
     turned = mesh_from_arrays(turn.apply(deformed) + np.array([0.1, 0.05, -0.08]), deformed_faces, "turned")
-    assert np.mean(lying_map(source, turned, rigid=False) == truth) < 0.3
-    assert np.mean(lying_map(source, turned, rigid=True) == truth) > 0.5
+    assert np.mean(lying_map(source, turned, StartRules(), rigid=False) == truth) < 0.3
+    assert np.mean(lying_map(source, turned, StartRules(), rigid=True) == truth) > 0.5
     assert mean_error(match(source, turned, OPTIONS, start="rigid"), truth) < 0.02
 
 
@@ -124,7 +125,7 @@ def test_starts_that_do_not_fit_are_named(bodies: Bodies, tmp_path: Path) -> Non
         ((np.eye(4), np.ones((642, 3)), np.ones((642, 3))), "more than there are functions"),
     ]:
         with pytest.raises((InputError, ResultError), match=words):
-            starting_map(start, source, target)
+            starting_map(start, source, target, StartRules())
 
 
 def test_a_match_known_at_another_copy_of_a_joined_vertex_counts() -> None:
@@ -132,7 +133,8 @@ def test_a_match_known_at_another_copy_of_a_joined_vertex_counts() -> None:
     file, other = assembled(), assembled(0.3, seed=4)
     source, target = (mesh_from_arrays(each.vertices, each.faces, name) for each, name in ((file, "a"), (other, "b")))
     whole = truth(file, other)
+    every = starting_map(whole, source, target, StartRules())
     for side in (0, 1):
         start = whole.copy()
         start[file.seam[:, side]] = -1
-        np.testing.assert_array_equal(starting_map(start, source, target), starting_map(whole, source, target))
+        np.testing.assert_array_equal(starting_map(start, source, target, StartRules()), every)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from quick import device
 
 import clalign
-from clalign import Options, part_rules
+from clalign import Options
 from clalign.benchmark.cut import KINDS
 from clalign.benchmark.parts import taken
 from clalign.cli.main import main
@@ -26,6 +26,7 @@ from clalign.maps.file_maps import VertexStatus
 from clalign.matching.parts import roles
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
 from clalign.presentation.picture import pair_colours, pair_views
+from clalign.rules import parts
 from clalign.transfer.colours import UNMATCHED
 
 LENGTHS = (1.4, 1.2, 1.6, 1.0, 1.8)
@@ -147,7 +148,7 @@ def watch(monkeypatch: pytest.MonkeyPatch, classes: list[type]) -> set[str]:
 
 
 def test_a_part_in_another_unit_is_found_with_its_scale_and_reads_every_rule(monkeypatch: pytest.MonkeyPatch) -> None:
-    classes = [each for each in vars(part_rules).values() if isinstance(each, type) and dataclasses.is_dataclass(each)]
+    classes = [each for each in vars(parts).values() if isinstance(each, type) and dataclasses.is_dataclass(each)]
     read = watch(monkeypatch, classes)
     part, whole, _ = body()
     result = quietly(enlarged(part, 25.4), whole)

@@ -88,7 +88,7 @@ def test_the_right_one_of_two_is_chosen_whatever_the_scores_of_the_search(
     right = true_functional_map(source.basis, target.basis, np.argsort(truth), 60)
     wrong = found.alternatives[0].functional
     doubted = SearchResult(candidate(wrong, 1e-4), (candidate(right, 2e-4),), 0.1)
-    assert in_doubt(doubted, RULES.rivals)
+    assert in_doubt(doubted, 1.0, RULES)
     judged = choose_grown(source, target, doubted, 1.0, RULES, kernels)
     apart = np.linalg.norm(judged.chosen.functional - right), np.linalg.norm(judged.chosen.functional - wrong)
     assert apart[0] < 0.7 * apart[1]

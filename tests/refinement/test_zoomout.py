@@ -12,7 +12,15 @@ from prepared import PreparedPair, true_functional_map
 from clalign.engine import Reference
 from clalign.geometry.geodesics import all_pairs
 from clalign.maps.point_maps import PointMaps
-from clalign.refinement.zoomout import BoundSpectra, best_grown_map, grown_map, two_way_steps, vertex_maps
+from clalign.refinement.zoomout import (
+    BoundSpectra,
+    best_grown_map,
+    grown_map,
+    joint_step,
+    two_way_step,
+    two_way_steps,
+    vertex_maps,
+)
 from clalign.rules import RefinementRules, Rules, ZoomOutSchedule
 
 RULES = RefinementRules()
@@ -80,3 +88,23 @@ def test_two_way_steps_repair_a_disturbed_map(
     assert distances[repaired.target_of_source, truth.target_of_source].mean() < 0.01
     assert (repaired.source_of_target == truth.source_of_target).mean() > 0.8
     assert two_way_steps(spectra, maps, 0, orders, reference) is maps
+
+
+def test_a_joint_step_hears_both_bases(
+    middle: PreparedPair, distances: NDArray[np.float64], reference: Reference, rng: np.random.Generator
+) -> None:
+    """Its embeddings are those of a step in either basis side by side, and its matches the nearest rows of them."""
+    source, target, truth = middle
+    maps = disturbed(truth, 0.3, rng)
+    spectra = BoundSpectra.of(source.scale_invariant, target.scale_invariant, reference)
+    low = BoundSpectra.of(source.basis.head(40), target.basis.head(40), reference)
+    found, (x, y) = joint_step(source, target, spectra, 40, maps, reference)
+    orders = source.order, target.order
+    _, of_high = two_way_step(spectra, maps, orders, reference)
+    _, of_low = two_way_step(low, maps, orders, reference)
+    for side, joined in enumerate((x, y)):
+        np.testing.assert_allclose(joined, np.concatenate([of_high[side], of_low[side]], axis=1), atol=1e-9)
+    squares = (x**2).sum(axis=1)[:, None] - 2 * x @ y.T + (y**2).sum(axis=1)
+    np.testing.assert_array_equal(found.target_of_source, squares.argmin(axis=1))
+    np.testing.assert_array_equal(found.source_of_target, squares.argmin(axis=0))
+    assert distances[found.target_of_source, truth.target_of_source].mean() < 0.01

@@ -162,8 +162,8 @@ def test_distortion_and_distance_of_candidates(own: SamplePair, rng: np.random.G
     identity = np.arange(count, dtype=np.int32)
     random = rng.permutation(count).astype(np.int32)
     index = np.stack([identity, random], axis=1)
-    for kind in ("squared", "relative"):
-        values = distortions(own, index, count, kind)
+    for floor in (None, RULES.distance_floor):
+        values = distortions(own, index, count, floor)
         assert values[0] == pytest.approx(0.0, abs=1e-12)
         assert values[1] > 0.05
     between = map_distances(own, index, count)

@@ -60,6 +60,20 @@ def test_tips_are_the_ends_of_the_limbs_the_farthest_first(body: Shape) -> None:
     assert len(found_tips(body, TipRules(most=3))) == 3
 
 
+def test_rules_of_tips_mean_what_they_say(body: Shape, other: tuple[Shape, NDArray[np.int64]]) -> None:
+    assert len(found_tips(body, TipRules(radius=10.0))) == 1
+    assert len(found_tips(body, TipRules(radius=0.02, most=100))) > 5
+    pair = SampledShape.of(body), SampledShape.of(other[0])
+    for rules in (TipRules(assigned=3, tried=7), TipRules(assigned=4, tried=50)):
+        own, others = assignments(*pair, rules)
+        assert own.shape == others.shape == (rules.tried, rules.assigned)
+        assert all(len(set(row)) == rules.assigned for row in own)
+    # Where all distances are nearer than the least one, all assignments cost the same, and the first are taken.
+    own, _ = assignments(*pair, TipRules(assigned=3, tried=5, least_distance=100.0))
+    ordered = found_tips(body)
+    assert [set(row) for row in own] == 5 * [set(ordered[:3])]
+
+
 def test_tips_do_not_depend_on_numbers_place_and_size(body: Shape) -> None:
     vertices, faces = shapes.limbed_sphere(LENGTHS)
     rotation = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]

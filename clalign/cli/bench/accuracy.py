@@ -59,9 +59,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     damaged.add_argument("path", metavar="PATH", type=Path, help="folder in the layout of the humans")
     damaged.add_argument("--damages", metavar="NAMES", default="", help="comma-separated (default: all, and 'clean')")
     damaged.add_argument("--pairs", metavar="FILE", help="run this pairs file only (default: all pairs*.txt in PATH)")
-    warped = _add(subparsers, "warped", "posed humans with other proportions: longer and shorter limbs, a larger trunk")
+    warped = _add(subparsers, "warped", "posed humans with other proportions or touching parts")
     warped.add_argument("path", metavar="PATH", type=Path, help="folder in the layout of the humans")
-    warped.add_argument("--warps", metavar="NAMES", default="waves,limbs,ape,trunk", help="default: %(default)s")
+    warped.add_argument(
+        "--warps", metavar="NAMES", default="waves,limbs,ape,trunk,touching", help="default: %(default)s"
+    )
     warped.add_argument(
         "--share",
         metavar="PART",
