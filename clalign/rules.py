@@ -226,6 +226,8 @@ class RivalRules:
         other under the identity, but not under a symmetry that is as exact, so that the scores cannot be compared.
     rounded : or where even a rival's score is below, as only symmetries of a body reach: five differences of a few per
         cent each, which is what samples round them to. A person's left and right have 1e-6.
+    exact_score, exact_energy : what a map of an exact copy counts as where it has less: what symmetries of a body have
+        between two triangulations of it. That the triangles are the same says nothing of the shape.
     slack : candidates with a score above so many times the least ...
     resolution : ... or so many times this, where that is more, are no rivals: scores of exact maps that samples round.
     most : rivals grown at most.
@@ -239,6 +241,8 @@ class RivalRules:
     doubtful: float = 0.5
     exact: float = 1e-12
     rounded: float = 1e-7
+    exact_score: float = 5e-6
+    exact_energy: float = 0.25
     slack: float = 4.0
     resolution: float = 1e-6
     most: int = 6
@@ -246,6 +250,27 @@ class RivalRules:
     largest_stretch: float = 10.0
     least_energy: float = 1e-4
     same_energy: float = 1e-3
+
+
+@dataclass(frozen=True)
+class AnchorRules:
+    """Distances to anchors beside the eigenfunctions of bodies that are not isometric.
+
+    distorted : relative distortion of the chosen map from which on they are used: people and animals in other poses are
+        below 0.04, bodies with limbs of another size above.
+    looked_at : farthest-point samples that may be anchors ...
+    returned : ... which the map, there and back, brings this near to where they were, in sqrt(area), ...
+    most : ... so many of them at most ...
+    least : ... and at least; fewer say too little.
+    weight : of the descriptors; see `PointDescriptors`. A quarter of it left a hand of an ape on a foot.
+    """
+
+    distorted: float = 0.045
+    looked_at: int = 60
+    returned: float = 0.08
+    most: int = 40
+    least: int = 10
+    weight: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -397,6 +422,7 @@ class Rules:
     search: SearchRules = field(default_factory=SearchRules)
     rivals: RivalRules = field(default_factory=RivalRules)
     landmarks: LandmarkRules = field(default_factory=LandmarkRules)
+    anchors: AnchorRules = field(default_factory=AnchorRules)
     refinement: RefinementRules = field(default_factory=RefinementRules)
     alignment: AlignmentRules = field(default_factory=AlignmentRules)
     judgement: JudgementRules = field(default_factory=JudgementRules)
