@@ -262,7 +262,7 @@ class AnchorRules:
     returned : ... which the map, there and back, brings this near to where they were, in sqrt(area), ...
     most : ... so many of them at most ...
     least : ... and at least; fewer say too little.
-    weight : of the descriptors; see `PointDescriptors`. A quarter of it left a hand of an ape on a foot.
+    weight : of the descriptors; see `PointDescriptors`. A fifth left hands of an ape on its feet, a half did not.
     """
 
     distorted: float = 0.045
@@ -270,7 +270,7 @@ class AnchorRules:
     returned: float = 0.08
     most: int = 40
     least: int = 10
-    weight: float = 0.2
+    weight: float = 1.0
 
 
 @dataclass(frozen=True)
