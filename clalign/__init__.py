@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .matching.pair import match
     from .mesh.mesh import load_mesh
     from .options import Options
+    from .registration.register import Registration, register
 
 __version__ = "0.1.0"
 
@@ -50,6 +51,7 @@ _HOMES = {
     "MeshError": "errors",
     "OptionError": "errors",
     "Options": "options",
+    "Registration": "registration.register",
     "ResultError": "errors",
     "VertexStatus": "maps.file_maps",
     "bundled_pair": "data",
@@ -58,6 +60,7 @@ _HOMES = {
     "match": "matching.pair",
     "match_collection": "collection.run",
     "notebook_html": "presentation.notebook",
+    "register": "registration.register",
 }
 
 __all__ = [
@@ -73,6 +76,7 @@ __all__ = [
     "MeshError",
     "OptionError",
     "Options",
+    "Registration",
     "ResultError",
     "VertexStatus",
     "__version__",
@@ -81,6 +85,7 @@ __all__ = [
     "load_mesh",
     "match",
     "match_collection",
+    "register",
 ]
 
 

@@ -6,6 +6,7 @@ its place in `Correspondence`) and ``result.json`` (everything else).
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import warnings
@@ -18,10 +19,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clalign.alternatives import (
+    Alternative,
+    alternative_arrays,
+    alternative_facts,
+    finite_or_none,
+    number_of,
+    numbered,
+    stored_alternatives,
+)
 from clalign.errors import ClalignWarning, OptionError, ResultError
 from clalign.geometry.spectra import Spectrum
 from clalign.maps.file_maps import vertex_status
-from clalign.maps.point_maps import PointMaps, check_map, write_map
+from clalign.maps.point_maps import check_map, write_map
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.stored import mesh_arrays, mesh_facts, stored_mesh
 from clalign.options import Options
@@ -39,25 +49,7 @@ FORWARD_FILE = "target_of_source.txt"
 BACKWARD_FILE = "source_of_target.txt"
 
 _ARRAYS = ("target_of_source", "source_of_target", "functional_map", "rotation", "distortion")
-_SCORES = ("score", "orientation", "distance")
 _SPECTRA = ("source_basis", "target_basis", "source_scale_invariant", "target_scale_invariant")
-
-
-@dataclass(frozen=True, eq=False)
-class Alternative(PointMaps):
-    """A map that the search considered and that differs from the chosen one, in file numbering, -1 for no match.
-
-    score : product of five unit-free ones, the lower the better; comparable between the maps of one match. They are the
-        distortion of distances, the differences of mean curvature, Gaussian curvature and heat kernel signatures, and
-        how far the functional map is from commuting with the Laplacian.
-    orientation : from -1 (mirrored everywhere) to 1 (orientation kept everywhere).
-    distance : mean geodesic distance on the source between the images of a target point under this map and under the
-        chosen one, as the search had them, in units of sqrt(area).
-    """
-
-    score: float
-    orientation: float
-    distance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +84,9 @@ class Correspondence:
     status : how the optimisation of R ended: converged, noise floor, budget, failed, not run, or interrupted (Ctrl-C).
     landmarks : what became of each landmark that the user gave: its name, its vertices in both files ("source",
         "target"), the distance from the map's image in sqrt(area), and whether it was "used" and kept exactly.
+    shown_map : which map this is, 0 for the chosen one; see `with_map`.
+    equally_good : maps that are as good as the chosen one, as symmetries give them: the "relation" in words, whether it
+        is "reversing", its "order" (or None), the share of the area "moved", and which "alternative" (or None) it is.
     part : which mesh was matched as a part of the other, and how; None for two wholes.
     method : version of the method, which counts changes after which the same input gives another map.
 
@@ -129,6 +124,8 @@ class Correspondence:
     status: str = ""
     method: int = METHOD_VERSION
     landmarks: tuple[dict[str, Any], ...] = ()
+    equally_good: tuple[dict[str, Any], ...] = ()
+    shown_map: int = 0
     part: Partiality | None = None
 
     def __post_init__(self) -> None:
@@ -199,6 +196,26 @@ class Correspondence:
 
         return str(clalign.notebook_html(self))
 
+    def with_map(self, number: int) -> Correspondence:
+        """Return the result with the maps of an alternative, from 1 for the best, in the place of the chosen ones.
+
+        C, R and the distortion remain those of the chosen map; a match that starts from the alternative has its own,
+        ``start=result.with_map(n)``. 0 returns the result itself; ResultError if there is no such alternative.
+        """
+        if number == 0:
+            return self
+        other = numbered(self.alternatives, number)
+        return dataclasses.replace(
+            self,
+            target_of_source=other.target_of_source,
+            source_of_target=other.source_of_target,
+            orientation=other.orientation,
+            score=other.score,
+            source_faces=None,
+            source_barycentric=None,
+            shown_map=number,
+        )
+
     def facts(self) -> dict[str, Any]:
         """Return everything but the arrays as plain values: the content of ``result.json``."""
         return {
@@ -213,14 +230,13 @@ class Correspondence:
             "status": self.status,
             "method": self.method,
             "landmarks": [dict(each) for each in self.landmarks],
+            "equally_good": [dict(each) for each in self.equally_good],
             "part": None if self.part is None else self.part.as_dict(),
             "losses": {name: finite_or_none(value) for name, value in self.losses.items()},
             "counts": self._counts(),
             "timings": {name: finite_or_none(value) for name, value in self.timings.items()},
             "warnings": list(self.warnings),
-            "alternatives": [
-                {name: finite_or_none(getattr(each, name)) for name in _SCORES} for each in self.alternatives
-            ],
+            "alternatives": [alternative_facts(each) for each in self.alternatives],
             "options": self.options.as_dict(),
             "versions": dict(self.versions),
         }
@@ -252,8 +268,11 @@ class Correspondence:
         Raises
         ------
         ResultError
-            The folder exists and may not be replaced, or the disk refused; what was there before is untouched.
+            The folder exists and may not be replaced, the disk refused (what was there before is untouched), or this is
+            an alternative of another result.
         """
+        if self.shown_map:
+            raise ResultError(f"this is alternative {self.shown_map} of a result; save the result itself")
         with atomic_folder(Path(folder), FACTS_FILE, force=force) as unfinished:
             write_map(unfinished / FORWARD_FILE, self.target_of_source)
             write_map(unfinished / BACKWARD_FILE, self.source_of_target)
@@ -285,15 +304,6 @@ class Correspondence:
             raise ResultError(f"{folder}: the result is damaged: {detail}; match the meshes again") from error
 
 
-def finite_or_none(value: float | None) -> float | None:
-    """Return None for what is not a finite number: JSON and tables have no NaN."""
-    return None if value is None or not math.isfinite(value) else float(value)
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
-
-
 def _arrays(result: Correspondence) -> Iterator[tuple[str, NDArray[Any]]]:
     for side in ("source", "target"):
         yield from ((f"{side}.{name}", values) for name, values in mesh_arrays(getattr(result, side)).items())
@@ -304,8 +314,7 @@ def _arrays(result: Correspondence) -> Iterator[tuple[str, NDArray[Any]]]:
         yield f"{name}.mass", spectrum.mass
     yield from ((name, getattr(result, name)) for name in _ARRAYS)
     for number, alternative in enumerate(result.alternatives):
-        yield f"alternatives.{number}.target_of_source", alternative.target_of_source
-        yield f"alternatives.{number}.source_of_target", alternative.source_of_target
+        yield from alternative_arrays(number, alternative)
     columns = list(dict.fromkeys(name for entry in result.history for name in entry))
     yield "history.columns", np.array(columns, dtype=np.str_)
     values = [[entry.get(name, np.nan) for name in columns] for entry in result.history]
@@ -356,18 +365,11 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
             {name: float(value) for name, value in zip(columns, row, strict=True) if not np.isnan(value)}
             for row in arrays["history.values"]
         ),
-        losses={name: _number(value) for name, value in facts["losses"].items()},
-        confidence=_number(facts["confidence"]),
-        orientation=_number(facts["orientation"]),
-        alternatives=tuple(
-            Alternative(
-                target_of_source=arrays[f"alternatives.{number}.target_of_source"],
-                source_of_target=arrays[f"alternatives.{number}.source_of_target"],
-                **{name: _number(values[name]) for name in _SCORES},
-            )
-            for number, values in enumerate(facts["alternatives"])
-        ),
-        timings={name: _number(value) for name, value in facts["timings"].items()},
+        losses={name: number_of(value) for name, value in facts["losses"].items()},
+        confidence=number_of(facts["confidence"]),
+        orientation=number_of(facts["orientation"]),
+        alternatives=stored_alternatives(facts["alternatives"], arrays),
+        timings={name: number_of(value) for name, value in facts["timings"].items()},
         warnings=tuple(facts["warnings"]),
         device=str(facts["device"]),
         options=options,
@@ -375,11 +377,12 @@ def _assembled(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         source_faces=arrays.get("source_faces"),
         source_barycentric=arrays.get("source_barycentric"),
         # A result of an earlier version lacks what was not kept then.
-        score=_number(facts.get("score")),
-        xi=_number(facts.get("xi")),
+        score=number_of(facts.get("score")),
+        xi=number_of(facts.get("xi")),
         status=str(facts.get("status", "")),
         method=int(facts.get("method", 0)),
         landmarks=tuple(facts.get("landmarks", ())),
+        equally_good=tuple(facts.get("equally_good", ())),
         part=Partiality(**facts["part"]) if facts.get("part") else None,
     )
 

@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from clalign.errors import OptionError
 from clalign.option_values import flattened, leaves, replaced, translated, type_hints
+from clalign.presets import PRESETS
 from clalign.rules import Rules
 
 Metric = Literal["euclidean", "regularized", "power", "heat-kernel", "auto"]
@@ -84,9 +85,14 @@ class SurfaceOptions:
 
     strict : refuse a mesh that is no surface as it stands (edges with three faces, sheets that touch in a point, open
         seams, several pieces); otherwise it is read as the surface that was most likely meant, with a note.
+    component : the piece that is matched of a file with several, from 1 for the largest; 0 for the one that stands out.
     """
 
     strict: bool = False
+    component: int = 0
+
+    def __post_init__(self) -> None:
+        _not_negative("surface", self, "component")
 
 
 @dataclass(frozen=True)
@@ -258,12 +264,15 @@ class EngineOptions:
     device : device specification such as "cpu", "gpu", "0:1" or part of a name; empty picks one.
     precision : "single" or "double" (where the device has it).
     memory : bytes that the process may use at most (0: what the machine has).
+    device_class : kernels written for a "cpu" or for a "gpu"; "auto" takes those that suit the device. The others
+        compute the same, slowly: they are a check.
     """
 
     backend: Literal["opencl", "reference"] = "opencl"
     device: str = ""
     precision: Literal["single", "double"] = "single"
     memory: int = 0
+    device_class: Literal["auto", "cpu", "gpu"] = "auto"
 
     def __post_init__(self) -> None:
         _check_choices("engine", self)
@@ -372,29 +381,3 @@ def given_options(options: Any) -> Options:
     elif isinstance(options, Mapping):
         call = f"Options().replace({dict(options)!r})"
     raise OptionError(f"options must be an Options, not {type(options).__name__}; pass {call}")
-
-
-PRESETS: dict[str, dict[str, Any]] = {
-    "default": {},
-    "fast": {
-        "spectrum.scale_invariant": 200,
-        "geodesics.search_samples": 500,
-        "alignment.outer_iterations": 0,
-        "readout.steps": 2,
-    },
-    "paper": {
-        "spectrum.refinement": 120,
-        "spectrum.smoothing": 0.0,
-        "search.method": "random",
-        "alignment.weights": "uniform",
-        "alignment.denominator": "fixed",
-        "alignment.unitarity": 0.0,
-        "alignment.decay": 1.0,
-        "alignment.samples": 0,
-        "alignment.outer_iterations": 20,
-        "alignment.iterations": 50,
-        "readout.refine": "none",
-        "readout.steps": 0,
-        "readout.readout": "argmax",
-    },
-}

@@ -10,6 +10,8 @@
  * map_distance:     launch (ceil(maps / W), maps); index (m, maps); distance (maps, maps)
  * numpy twins: clalign.engine.reference.Reference.distortion_batch, map_distance
  */
+#include "distortion_error.cl"
+
 #ifndef DB
 #define DB 64 /* rows of one part */
 #endif
@@ -19,16 +21,6 @@ KERNEL void transpose_maps(const int m, const int maps, __global const int *rest
     const int b = get_global_id(0);
     if (b >= maps) return;
     for (int i = 0; i < m; ++i) rows[(size_t)b * m + i] = index[(size_t)i * maps + b];
-}
-
-INLINE real error_of(const real x, const real y)
-{
-    const real difference = x - y;
-#ifdef FLOOR
-    return (difference < ZERO ? -difference : difference) / (x + y + (real)FLOOR);
-#else
-    return difference * difference;
-#endif
 }
 
 KERNEL void distortion_parts(const int m, const int p, const int parts, __global const real *restrict dx,

@@ -6,16 +6,14 @@
  * covers row-major B and B packed by pack_panels.
  * The order of summation does not depend on the launch, so results are bitwise reproducible.
  *
- * product:     launch (ceil(row groups / groups), ceil(column panels / panels), splits);
- *              a, b reals; c (splits, m, n): split s sums depth s * split_depth .. (s + 1) * split_depth - 1;
- *              each (*, 2) int or NULL, first and last + 1: left_depths (row groups) and right_depths (column panels), the
- *              depth with anything in them; kept (column panels), the rows of C that are wanted of that panel
+ * product:     launch (ceil(row groups / groups), ceil(column panels / panels)); a, b reals; c (m, n); each (*, 2) int or
+ *              NULL, first and last + 1: left_depths (row groups) and right_depths (column panels), the depth with anything
+ *              in them; kept (column panels), the rows of C that are wanted of that panel
  * pack_panels: launch (column panels, ceil(depth / DP)); out (column panels, depth, W) = b[t b_row + j b_column], zero
  *              beyond column n
  * pack_tiles:  launch (tiles, ceil(depth / DP)); out (tiles, depth, RT) = weight[t] b[t, j] for row-major b
  *              (depth, n); weight (depth) or NULL; columns beyond n are of no meaning
- * sum_splits:  launch (m n): c = scale * sum over splits of partial (splits, m n) [+ c]
- * numpy twins: clalign.engine.reference.Reference.product, banded_product, weighted_gram
+ * numpy twins: clalign.engine.reference.Reference.product, banded_product
  */
 #include "tile.cl"
 
@@ -59,7 +57,7 @@ INLINE void fetch_rows(__global const real *rows, const int row_stride, const in
         for (int t = 0; t < count; t += LINE) PREFETCH(rows + (size_t)i * row_stride + t, 0);
 }
 
-KERNEL void product(const int m, const int n, const int depth, const int groups, const int panels, const int split_depth,
+KERNEL void product(const int m, const int n, const int depth, const int groups, const int panels,
                     const real scale, const int accumulate, __global const real *restrict a, const long a_group,
                     const int a_row, const int a_step, __global const real *restrict b, const int b_step, const long b_panel,
                     __global const int *restrict left_depths, __global const int *restrict right_depths,
@@ -68,13 +66,11 @@ KERNEL void product(const int m, const int n, const int depth, const int groups,
     const int group_count = (m + RT - 1) / RT, panel_count = (n + W - 1) / W;
     const int group_begin = get_global_id(0) * groups, panel_begin = get_global_id(1) * panels;
     const int group_end = min(group_begin + groups, group_count), panel_end = min(panel_begin + panels, panel_count);
-    const int from = get_global_id(2) * split_depth, to = min(depth, from + split_depth);
-    c += (size_t)get_global_id(2) * m * n;
-    for (int block = from; block < to; block += KB)
+    for (int block = 0; block < depth; block += KB)
         for (int panel = panel_begin; panel < panel_end; ++panel) {
             const int panel_first = max(block, right_depths ? right_depths[2 * panel] : 0);
-            const int panel_last = min(min(block + KB, to), right_depths ? right_depths[2 * panel + 1] : depth);
-            const int add = accumulate || block > from;
+            const int panel_last = min(min(block + KB, depth), right_depths ? right_depths[2 * panel + 1] : depth);
+            const int add = accumulate || block > 0;
             const int width = n - panel * W;
             const int kept_begin = kept ? max(group_begin, kept[2 * panel] / RT) : group_begin;
             const int kept_end = kept ? min(group_end, (kept[2 * panel + 1] + RT - 1) / RT) : group_end;
@@ -147,14 +143,4 @@ KERNEL void pack_tiles(const int n, const int depth, __global const real *restri
         /* Columns beyond the matrix repeat the last one: nobody reads their sums. */
         for (int j = 0; j < RT; ++j) out[(size_t)t * RT + j] = factor * b[(size_t)t * n + min(j, last)];
     }
-}
-
-KERNEL void sum_splits(const int count, const int splits, const real scale, const int accumulate,
-                       __global const real *restrict partial, __global real *restrict c)
-{
-    const int i = get_global_id(0);
-    if (i >= count) return;
-    real sum = ZERO;
-    for (int s = 0; s < splits; ++s) sum += partial[(size_t)s * count + i];
-    c[i] = accumulate ? c[i] + scale * sum : scale * sum;
 }

@@ -18,7 +18,8 @@ from clalign.errors import ClalignWarning, OptionError
 from clalign.geometry.cache import ShapeCache, given_cache
 from clalign.matching.pair import match
 from clalign.option_values import leaves
-from clalign.options import PRESETS, Options, given_options, odd_sizes
+from clalign.options import Options, given_options, odd_sizes
+from clalign.presets import PRESETS
 
 KINDS = {name: kind for name, kind in leaves(Options()) if name != "seed"}
 NAMES = sorted(KINDS.keys() - {"rules.refinement.schedules", "rules.parts.growth.starts"})

@@ -12,7 +12,8 @@ from clalign import resources
 from clalign.benchmark.calibration import SIZES, measured
 from clalign.benchmark.generated import generated_pair
 from clalign.errors import MemoryBudgetError
-from clalign.options import PRESETS, Options
+from clalign.options import Options
+from clalign.presets import PRESETS
 from clalign.resources import available_memory, calibration, forecast, require_memory
 
 GIB, MIB = 2**30, 2**20

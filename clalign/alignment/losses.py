@@ -50,7 +50,7 @@ class FixedCorrespondence:
 
 @dataclass(frozen=True)
 class Loss:
-    """A loss that the device still computes: ``float`` waits for it.
+    """A loss that the device may still compute.
 
     Attributes
     ----------
@@ -60,9 +60,6 @@ class Loss:
 
     value: Any
     divisor: float = 1.0
-
-    def __float__(self) -> float:
-        return float(self.value) / self.divisor
 
 
 class AlignmentLoss:
@@ -92,7 +89,7 @@ class AlignmentLoss:
         return FixedCorrespondence(target_of_source, *grams, denominator=float(denominator), weight=weight)
 
     def value_and_gradient(self, rotation: Any, transposed: Any, fixed: FixedCorrespondence) -> tuple[Loss, Any]:
-        """Return the value and the gradient (d, d) inside the band; only a differentiated denominator is waited for."""
+        """Return the value and the gradient (d, d) inside the band."""
         backend = self._backend
         grams = fixed.gram_source, fixed.gram_target, fixed.gram_cross
         numerator, denominator, dnumerator, ddenominator = backend.alignment(
@@ -101,9 +98,8 @@ class AlignmentLoss:
         if fixed.denominator is not None:
             gradient = backend.add(dnumerator, ddenominator, scale_a=1.0 / fixed.denominator, scale_b=0.0)
             return Loss(numerator, fixed.denominator), gradient
-        scale = 1.0 / float(denominator)
-        value = float(numerator) * scale
-        return Loss(value), backend.add(dnumerator, ddenominator, scale_a=scale, scale_b=-value * scale)
+        value, gradient = backend.quotient(numerator, denominator, dnumerator, ddenominator)
+        return Loss(value), gradient
 
 
 class Penalty(Protocol):

@@ -134,11 +134,15 @@ class Objective:
         weight = fixed.weight / len(distortions.terms)
         through.add_gradient(dalpha, dbeta, weight, gradient)
         added = {each.name: each.value_adding_gradient(rotation, transposed, gradient) for each in self._penalties}
-        packed = backend.numpy(backend.band_gather(gradient, self.band)).astype(np.float64)
-        terms = {name: float(loss) for name, loss in {"align": align, **distortions.terms, **added}.items()}
+        losses = {"align": align, **distortions.terms, **added}
+        # The one place where the host waits for the device.
+        packed, *values = backend.read(
+            [backend.band_gather(gradient, self.band), *(loss.value for loss in losses.values())]
+        )
+        terms = {name: float(value) / loss.divisor for (name, loss), value in zip(losses.items(), values, strict=True)}
         total = terms["align"] + weight * sum(terms[name] for name in distortions.terms)
         total += sum(each.weight * terms[each.name] for each in self._penalties)
-        return Evaluation(total, terms, packed)
+        return Evaluation(total, terms, packed.astype(np.float64))
 
     def _both(self, rotation: NDArray[np.float64]) -> tuple[Any, Any]:
         """Return R and Rᵀ on the backend."""

@@ -48,7 +48,9 @@ def renumber(mesh: Mesh, seed: int = 0) -> Perturbed:
         faces=np.take_along_axis(faces, turns, axis=1).astype(np.int32),
         file_index=new_file_index[order],
         vertex_of_file=vertex_of_file,
-        loose=dataclasses.replace(mesh.loose, file_index=new_of_old[mesh.loose.file_index]),
+        loose=dataclasses.replace(
+            mesh.loose, file_index=new_of_old[mesh.loose.file_index], faces=new_of_old[mesh.loose.faces]
+        ),
     )
     return Perturbed(changed, Truth(np.arange(mesh.file_count), new_of_old))
 

@@ -45,6 +45,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("shapes", metavar="SHAPES", type=Path, help="folder of meshes, or a file that lists them")
     add_job_arguments(parser, DEFAULT_FOLDER)
+    parser.add_argument(
+        "--component",
+        metavar="N",
+        type=int,
+        help="the piece to match of meshes with several, from 1 for the largest (default: the one that stands out)",
+    )
     parser.add_argument("--pairs", metavar="WORD", default="all", help="'all' (default), 'star', 'tree' or a file")
     parser.add_argument(
         "--consistency",
@@ -74,6 +80,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Match the collection, show its failures, write its page; 1 when a shape or a pair failed."""
     options = options_from(args)
+    if args.component is not None:
+        options = options.replace({"surface.component": args.component})
     if args.no_cache:
         raise OptionError("a collection works from its prepared shapes: --cache FOLDER puts them elsewhere")
     terminal = Terminal(quiet=args.quiet, as_json=args.json)

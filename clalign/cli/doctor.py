@@ -1,8 +1,8 @@
 """``clalign doctor``: what OpenCL finds here, whether the kernels compute correctly, and what to do if not.
 
 OpenCL is asked in a process of its own, so that a driver that crashes cannot take this one with it: ``python -m
-clalign.cli.doctor`` prints the devices as JSON; with a device number such as ``0:1`` and a precision it runs the
-kernels there and prints how well they agree with numpy.
+clalign.cli.doctor`` prints the devices as JSON; with a device number such as ``0:1``, a precision and a class of
+kernels it runs those there and prints how well they agree with numpy.
 """
 
 from __future__ import annotations
@@ -68,11 +68,11 @@ def examine() -> dict[str, Any]:
     found = probe()
     devices = found.get("devices", [])
     for device in devices:
-        number = f"{device['platform']}:{device['device']}"
-        device["checks"] = {
-            precision: probe(number, precision)
-            for precision in (("single", "double") if device["double"] else ("single",))
-        }
+        number, other = f"{device['platform']}:{device['device']}", "cpu" if device["class"] == "gpu" else "gpu"
+        runs = {"single": ("single", "auto"), "double": ("double", "auto"), f"class {other}": ("single", other)}
+        if not device["double"]:
+            del runs["double"]
+        device["checks"] = {name: probe(number, *arguments) for name, arguments in runs.items()}
     findings: dict[str, Any] = {
         "system": {
             "machine": f"{platform.system()} {platform.release()}, {platform.machine()}, {os.cpu_count()} cores",
@@ -86,7 +86,12 @@ def examine() -> dict[str, Any]:
         "error": found.get("error"),
         "devices": devices,
     }
-    findings["works"] = any(passed(answer) for device in devices for answer in device["checks"].values())
+    findings["works"] = any(
+        passed(answer)
+        for device in devices
+        for name, answer in device["checks"].items()
+        if not name.startswith("class")
+    )
     findings["advice"] = advice(findings, platform.system())
     return findings
 
@@ -177,6 +182,11 @@ def advice(findings: dict[str, Any], system: str) -> list[str]:
             "clalign match A B --device reference  # no OpenCL",
         ]
     commands = ["clalign match A B --device reference  # computes with numpy meanwhile"]
+    for device in findings["devices"]:
+        others = [name for name, answer in device["checks"].items() if name.startswith("class") and passed(answer)]
+        commands[:0] = [
+            f"clalign match A B --set engine.device_{name.replace(' ', '=')}  # they do compute" for name in others
+        ]
     if any("Portable Computing Language" in device["platform_name"] for device in findings["devices"]):
         commands.insert(0, "rm -r ~/.cache/pocl  # a damaged kernel cache of PoCL looks like a failing driver")
     return commands
@@ -212,6 +222,7 @@ def _device_lines(device: dict[str, Any]) -> list[str]:
         ("platform", f"{device['platform_name']}, {device['version']}"),
         ("driver", device["driver"]),
         ("units", str(device["units"])),
+        ("class", f"kernels of {device['class'].upper()}s"),
         ("memory", _memory(device)),
         ("double precision", "yes" if device["double"] else "no"),
     ]
@@ -273,15 +284,18 @@ def probe(*arguments: str) -> dict[str, Any]:
 
 
 def _answer(arguments: list[str]) -> dict[str, Any]:
-    """Return the checks of a device by number and precision, or without arguments all devices."""
+    """Return the checks of a device by number, precision and class, or without arguments all devices."""
     try:
         from clalign.engine import open_backend
         from clalign.engine.device_choice import list_devices
+        from clalign.engine.device_class import class_name
         from clalign.engine.self_test import self_test
 
         if not arguments:
-            return {"devices": [dataclasses.asdict(facts) for facts in list_devices()], "libraries": _libraries()}
-        options = Options().replace({"engine.device": arguments[0], "engine.precision": arguments[1]})
+            devices = [{**dataclasses.asdict(facts), "class": class_name(facts)} for facts in list_devices()]
+            return {"devices": devices, "libraries": _libraries()}
+        names = ("engine.device", "engine.precision", "engine.device_class")
+        options = Options().replace(dict(zip(names, arguments, strict=True)))
         checks = self_test(open_backend(options.engine))
         # JSON has no word for what is not a number.
         errors = [check.error if math.isfinite(check.error) else None for check in checks]

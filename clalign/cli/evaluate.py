@@ -39,6 +39,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "evaluate", help="measure a map against the truth", description=_DESCRIPTION, epilog=_EPILOG
     )
     parser.add_argument("map", metavar="MAP", type=Path, help="result folder, or text file of a map")
+    parser.add_argument(
+        "--map",
+        dest="number",
+        metavar="N",
+        type=int,
+        default=0,
+        help="an alternative of the result, from 1 for the best",
+    )
     parser.add_argument("--source", metavar="FILE", type=Path, help="source mesh, for a bare map")
     parser.add_argument("--target", metavar="FILE", type=Path, help="target mesh, for a bare map")
     parser.add_argument("--base", type=int, choices=(0, 1), default=0, help="first vertex number in MAP (default: 0)")
@@ -109,8 +117,10 @@ def _result_and_meshes(args: argparse.Namespace) -> tuple[Correspondence | None,
     if args.map.is_dir():
         from clalign.correspondence import Correspondence
 
-        result = Correspondence.load(args.map)
+        result = Correspondence.load(args.map).with_map(args.number)
         return result, result.source, result.target
+    if args.number:
+        raise ResultError(f"{args.map}: --map N belongs to a result folder")
     if not args.map.is_file():
         raise ResultError(f"{args.map}: neither a result folder nor a map file")
     if args.source is None or args.target is None:

@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from clalign import __version__
-from clalign.cli import bench, cache, check, collection, doctor, evaluate, figures, match, options, saved
+from clalign.cli import bench, cache, check, collection, doctor, evaluate, figures, match, options, register, saved
 from clalign.cli.terminal import EXIT_INTERRUPTED
 from clalign.ctrl_c import plain_interrupts
 from clalign.errors import ClalignError, ClalignWarning, DeviceError, InputError
@@ -32,7 +32,14 @@ EXIT_USAGE = 2
 #: Each adds its parser, with the function that runs it as the default of ``run``.
 COMMANDS: tuple[Callable[[Any], None], ...] = (
     *(match.add_match, match.add_demo, check.add_parser, collection.add_parser),
-    *(saved.add_show, saved.add_transfer, saved.add_export, evaluate.add_parser, figures.add_parser),
+    *(
+        saved.add_show,
+        saved.add_transfer,
+        saved.add_export,
+        register.add_parser,
+        evaluate.add_parser,
+        figures.add_parser,
+    ),
     *(bench.add_parser, cache.add_parser, options.add_parser, doctor.add_parser),
 )
 

@@ -103,6 +103,11 @@ def add_job_arguments(parser: argparse.ArgumentParser, default_folder: Path) -> 
     parser.add_argument(
         "--out", metavar="DIR", type=Path, default=default_folder, help="result folder (default: %(default)s)"
     )
+    add_method_arguments(parser)
+
+
+def add_method_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that say how to match, and what the command shows."""
     parser.add_argument(
         "--preset",
         metavar="NAME",
@@ -215,16 +220,16 @@ def _run(
     from clalign.correspondence import FACTS_FILE
 
     with missed_interrupts() as raise_missed:
-        source, target = given.meshes(strict=options.surface.strict)
+        source, target = given.meshes(options.surface)
         known = given.known(source, target)
         truths = truths_of(source, target)
-        device = _device(options)
+        device = device_label(options)
         # Last, so that no mistake elsewhere comes to light only after --force was added.
         check_destination(args.out, FACTS_FILE, force=force)
         terminal.note(f"device: {device}")
         for role, mesh in (("source", source), ("target", target)):
             terminal.note(f"{role}: {mesh.path}, {mesh.n_vertices:,} vertices, {mesh.n_faces:,} faces")
-        result = _matched(partial(clalign.match, source, target, options, **known), args, terminal, raise_missed)
+        result = matched(partial(clalign.match, source, target, options, **known), args, terminal, raise_missed)
     evaluation = None
     try:
         with plain_interrupts():
@@ -241,7 +246,7 @@ def _run(
     return 0
 
 
-def _device(options: Options) -> str:
+def device_label(options: Options) -> str:
     """Return the device that the match will use, found before the long work so that a missing one is told at once."""
     if options.engine.backend == "reference":
         return "numpy, double precision"
@@ -250,7 +255,7 @@ def _device(options: Options) -> str:
     return choose_device(wanted_device(options.engine.device), list_devices()).label
 
 
-def _matched(
+def matched(
     match: Callable[..., Correspondence],
     args: argparse.Namespace,
     terminal: Terminal,

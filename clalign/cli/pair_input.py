@@ -11,6 +11,7 @@ from clalign.errors import OptionError
 
 if TYPE_CHECKING:
     from clalign.mesh.mesh import Mesh
+    from clalign.options import SurfaceOptions
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,6 +21,13 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MAP",
         help="start from a map instead of a search: a text file with the target vertex of every source vertex (-1: not "
         "known), a result folder, 'extrinsic' for shapes that lie on each other, or 'rigid' for nearly so",
+    )
+    parser.add_argument(
+        "--start-map",
+        metavar="N",
+        type=int,
+        default=0,
+        help="with --start RESULT: from its alternative N, counted from 1 for the best",
     )
     parser.add_argument(
         "--landmarks",
@@ -78,6 +86,7 @@ class PairInput:
     """Two mesh files, which piece of each is meant, and what is known of the map between them.
 
     start : what `clalign.matching.start.starting_map` takes as text; None for a search.
+    start_map : an alternative of the result that `start` names; 0 for its chosen map.
     landmarks : files.
     tolerance : of the landmarks, in sqrt(area).
     descriptors : files of source and target, or none.
@@ -93,6 +102,7 @@ class PairInput:
     tolerance: float = 0.0
     descriptors: tuple[str, ...] = ()
     weight: float | None = None
+    start_map: int = 0
 
     @staticmethod
     def of(args: argparse.Namespace) -> PairInput:
@@ -101,12 +111,15 @@ class PairInput:
         Raises
         ------
         OptionError
-            ``--component`` is no number, or a tolerance is given without landmarks, a weight without descriptors.
+            ``--component`` is no number, a tolerance is given without landmarks, a weight without descriptors, or an
+            alternative without a start.
         """
         if args.landmark_tolerance and not args.landmarks:
             raise OptionError("--landmark-tolerance belongs to --landmarks FILE")
         if args.descriptor_weight is not None and not args.descriptors:
             raise OptionError("--descriptor-weight belongs to --descriptors FILE FILE")
+        if args.start_map and args.start is None:
+            raise OptionError("--start-map N belongs to --start RESULT")
         return PairInput(
             args.source,
             args.target,
@@ -116,14 +129,16 @@ class PairInput:
             tolerance=args.landmark_tolerance,
             descriptors=tuple(args.descriptors or ()),
             weight=args.descriptor_weight,
+            start_map=args.start_map,
         )
 
-    def meshes(self, *, strict: bool) -> tuple[Mesh, Mesh]:
-        """Read both files."""
+    def meshes(self, options: SurfaceOptions) -> tuple[Mesh, Mesh]:
+        """Read both files; what ``--component`` says counts before the options."""
         from clalign.mesh.mesh import load_mesh
 
-        source = load_mesh(self.source, strict=strict, component=self.source_component)
-        return source, load_mesh(self.target, strict=strict, component=self.target_component)
+        of_all = options.component or None
+        source = load_mesh(self.source, strict=options.strict, component=self.source_component or of_all)
+        return source, load_mesh(self.target, strict=options.strict, component=self.target_component or of_all)
 
     def known(self, source: Mesh, target: Mesh) -> dict[str, Any]:
         """Return the arguments of `clalign.match` that say what is known, with their files read."""
@@ -131,6 +146,10 @@ class PairInput:
 
         landmarks = landmarks_of(self.landmarks, source, target, self.tolerance) if self.landmarks else None
         known: dict[str, Any] = {"start": self.start, "landmarks": landmarks}
+        if self.start_map:
+            from clalign.correspondence import Correspondence
+
+            known["start"] = Correspondence.load(self.start or "").with_map(self.start_map)
         if self.descriptors:
             from clalign.transfer.value_files import read_values
 

@@ -53,6 +53,24 @@ def run_show(args: argparse.Namespace) -> int:
     return 1
 
 
+def add_map_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--map``."""
+    parser.add_argument(
+        "--map",
+        metavar="N",
+        type=int,
+        default=0,
+        help="an alternative of the result, from 1 for the best, instead of the chosen map (see match --alternatives)",
+    )
+
+
+def chosen_map(folder: Path, number: int) -> Correspondence:
+    """Read a result, with one of its alternatives in the place of the chosen map unless the number is 0."""
+    from clalign.correspondence import Correspondence
+
+    return Correspondence.load(folder).with_map(number)
+
+
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
     """Name the path when the operating system refuses to write."""
@@ -69,7 +87,7 @@ for, in that file's order (numbers from 0). Vertices without a match get nan, or
 kinds:
   scalars      numbers of vertices, one or more columns (.npy, or text with one row a line)
   colours      three columns, 0 to 1 or 0 to 255
-  labels       one whole number a vertex, taken from the nearest match
+  labels       one whole number a vertex, taken from the match, without the speckles that a map makes
   landmarks    a list of vertices; gives their matches
   texture      an OBJ file with texture coordinates; OUT is an OBJ of the other shape
   deformation  the same mesh in another pose; OUT is the other mesh deformed alike (both meshes should stand alike)
@@ -115,19 +133,23 @@ def add_transfer(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]
     )
     parser.add_argument(
         "--route",
-        choices=("points", "functional"),
+        choices=("points", "precise", "functional"),
         default="points",
-        help="scalars and colours: through matched points (default), or smoothly through the functional map",
+        help="scalars and colours: through matched points (default), through points inside faces, or smoothly through "
+        "the functional map",
     )
+    parser.add_argument(
+        "--speckles", action="store_true", help="labels: keep islands and frayed edges that the map has made"
+    )
+    add_map_argument(parser)
     parser.set_defaults(run=run_transfer)
 
 
 def run_transfer(args: argparse.Namespace) -> int:
     """Carry one file and write what comes out."""
-    from clalign.correspondence import Correspondence
     from clalign.transfer.outputs import check_outputs
 
-    correspondence = Correspondence.load(args.result)
+    correspondence = chosen_map(args.result, args.map)
     check_outputs(correspondence, [args.out], force=args.force)
     carry = {"texture": _texture, "deformation": _deformation}.get(args.kind, _values)
     with _writing(args.out):
@@ -145,7 +167,9 @@ def _values(correspondence: Correspondence, args: argparse.Namespace) -> None:
     if args.kind == "colours":
         check_colours(args.file, values)
     if args.kind == "labels":
-        carried: Any = transfer.carry_labels(correspondence, values, origin=args.origin)
+        carried: Any
+        carried, said = transfer.carried_labels(correspondence, values, origin=args.origin, speckles=args.speckles)
+        print(said)
     elif args.kind == "landmarks":
         carried = transfer.carry_landmarks(correspondence, values, origin=args.origin)
     else:
@@ -176,11 +200,13 @@ def _deformation(correspondence: Correspondence, args: argparse.Namespace) -> No
     moved = carry_deformation(correspondence, read_mesh_file(args.file).vertices, origin=args.origin)
     if args.out.suffix.lower() in MESH_SUFFIXES:
         positions = np.where(np.isfinite(moved), moved, there.offset)
-        save_mesh(args.out, positions, there.file_faces)
+        save_mesh(args.out, positions, there.all_file_faces)
     else:
         write_values(args.out, moved, there)
 
 
+MAP_FORMATS = ("ply", "obj", "vts", "map", "picture")
+"""Formats that hold nothing but the maps, and so can be had of an alternative."""
 FORMATS = ("ply", "obj", "vts", "map", "numpy", "matlab", "pyfm", "geomfum", "report", "picture")
 
 _EXPORT = """\
@@ -222,16 +248,16 @@ def add_export(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--force", action="store_true", help="replace existing files of the names above (never the meshes of the match)"
     )
     parser.add_argument("--up", choices=("x", "y", "z"), help="axis of the target that points up, where it is drawn")
+    add_map_argument(parser)
     parser.set_defaults(run=run_export)
 
 
 def run_export(args: argparse.Namespace) -> int:
     """Write every format that was asked for and print the files."""
-    from clalign.correspondence import Correspondence
     from clalign.presentation.exports import FILES
     from clalign.transfer.outputs import check_outputs
 
-    correspondence = Correspondence.load(args.result)
+    correspondence = chosen_map(args.result, args.map)
     args.out = args.result if args.out is None else args.out
     formats = list(dict.fromkeys(args.format))
     check_outputs(correspondence, [args.out / file for name in formats for file in FILES[name]], force=args.force)
@@ -248,6 +274,11 @@ def _export(correspondence: Correspondence, name: str, args: argparse.Namespace)
     from clalign.presentation.picture import save_match_picture
     from clalign.presentation.report import write_report
 
+    if args.map and name not in MAP_FORMATS:
+        raise InputError(
+            f"--format {name} holds C and R, which are those of the chosen map: match anew with --start {args.result} "
+            f"--start-map {args.map}, or take {', '.join(MAP_FORMATS)}"
+        )
     if name in ("report", "picture"):
         args.out.mkdir(parents=True, exist_ok=True)
         path = args.out / (PAGE_FILE if name == "report" else PICTURE_FILE)

@@ -11,7 +11,7 @@ from clalign.collection.members import Member
 from clalign.collection.work import HELD_SHAPES
 from clalign.errors import MemoryBudgetError, MeshError, ResultError
 from clalign.mesh.mesh import load_mesh
-from clalign.options import Options
+from clalign.options import Options, SurfaceOptions
 from clalign.resources import available_memory, forecast
 from clalign.storage.files import size_text
 
@@ -53,7 +53,7 @@ def needs(members: Sequence[Member], pairs: int, options: Options, *, keep: str,
     MeshError
         No mesh of the collection can be loaded.
     """
-    largest, vertices = _largest(members)
+    largest, vertices = _largest(members, options.surface)
     share = [min(1.0, member.size / largest.size) for member in members]
     mean = sum(share) / len(share) * vertices
     pair = 2 * 4 * mean + 8 * latent**2 + 4096
@@ -78,12 +78,12 @@ def shape_bytes(vertices: float, options: Options) -> float:
     return vertices * (8 * functions + 4 * options.geodesics.factor_samples + 16) + 8 * samples**2
 
 
-def _largest(members: Sequence[Member]) -> tuple[Member, int]:
+def _largest(members: Sequence[Member], surface: SurfaceOptions) -> tuple[Member, int]:
     reason = "no mesh file can be read"
     for member in sorted(members, key=lambda member: -member.size):
         if member.size:
             try:
-                return member, load_mesh(member.path).n_vertices
+                return member, load_mesh(member.path, component=surface.component or None).n_vertices
             except MeshError as error:
                 reason = str(error)
     raise MeshError(f"no mesh of the collection can be used; the last reason: {reason}")

@@ -118,7 +118,8 @@ class Session:
         return held
 
     def _mesh(self, member: Member) -> Mesh:
-        return load_mesh(member.path, strict=self.settings.options.surface.strict)
+        surface = self.settings.options.surface
+        return load_mesh(member.path, strict=surface.strict, component=surface.component or None)
 
     def pair(self, source: Member, target: Member) -> tuple[Shape, Shape]:
         """Return two prepared shapes, both in the metric that the noisier one asks for."""

@@ -32,4 +32,4 @@ def open_backend(options: EngineOptions | None = None) -> Backend:
     from clalign.engine.device import Device
     from clalign.engine.kernels import Kernels
 
-    return Kernels(Device(chosen.device, chosen.precision, chosen.memory))
+    return Kernels(Device(chosen.device, chosen.precision, chosen.memory, chosen.device_class))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import prod
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.engine.device_choice import DeviceFacts, choose_device, list_devices, wanted_device
-from clalign.engine.device_class import device_class
+from clalign.engine.device_class import ClassName, DeviceClass, device_class
 from clalign.engine.loading import cache_problem, load, require_own_process
 from clalign.engine.programs import kernel_source
 from clalign.errors import DeviceError, MemoryBudgetError
@@ -91,7 +91,7 @@ class DeviceArray:
 
     def get(self) -> NDArray[Any]:
         """Download; waits for whatever computes the values."""
-        return self.device.download(self)
+        return self.device.download([self])[0]
 
     def __float__(self) -> float:
         if self.size != 1:
@@ -110,6 +110,7 @@ class Device:
     specification : which device, see `device_choice`; empty looks at ``CLALIGN_DEVICE`` and then picks one.
     precision : "single" or "double".
     memory : bytes that may be allocated at most; 0 leaves it to the device.
+    kind : class of the kernels, or its constants.
 
     Raises
     ------
@@ -117,13 +118,19 @@ class Device:
         No such device, or it has no double precision where that is asked for.
     """
 
-    def __init__(self, specification: str = "", precision: str = "single", memory: int = 0) -> None:
+    def __init__(
+        self,
+        specification: str = "",
+        precision: str = "single",
+        memory: int = 0,
+        kind: ClassName | DeviceClass = "auto",
+    ) -> None:
         self.facts = choose_device(wanted_device(specification), list_devices())
         require_precision(self.facts, precision)
         self._cl = cl = load()
         handle = cl.get_platforms()[self.facts.platform].get_devices()[self.facts.device]
         self.dtype = np.dtype(np.float64 if precision == "double" else np.float32)
-        self.constants = device_class(self.facts)
+        self.constants = device_class(self.facts, self.dtype.itemsize, kind) if isinstance(kind, str) else kind
         self.budget = min(self.facts.memory, memory) if memory else self.facts.memory
         self.allocated = self.most = 0
         with self._answering("being opened"):
@@ -131,11 +138,8 @@ class Device:
             self._queue = cl.CommandQueue(self._context)
         self._kernels: dict[tuple[str, tuple[tuple[str, str | int], ...]], dict[str, Any]] = {}
         self._scratch: dict[str, DeviceArray] = {}
-
-    @property
-    def panel_width(self) -> int:
-        """W, the columns of a panel: two vectors."""
-        return 2 * self.constants.vector // self.dtype.itemsize
+        self._tables: dict[tuple[Any, ...], DeviceArray] = {}
+        self.launches = 0
 
     @contextmanager
     def _answering(self, doing: str) -> Iterator[None]:
@@ -179,6 +183,13 @@ class Device:
             self._scratch[name] = kept
         return kept
 
+    def table(self, key: tuple[Any, ...], make: Callable[[], NDArray[Any]]) -> DeviceArray:
+        """Return the values that `make` gives for `key`, made and uploaded once: reals, or int32."""
+        if key not in self._tables:
+            values = make()
+            self._tables[key] = self.upload(values.astype(np.int32 if values.dtype.kind in "iub" else self.dtype))
+        return self._tables[key]
+
     def upload(self, values: NDArray[Any]) -> DeviceArray:
         """Copy values to the device."""
         array = self.allocate(values.shape, values.dtype)
@@ -202,13 +213,15 @@ class Device:
         with self._answering(f"copying {count} bytes"):
             self._cl.enqueue_copy(self._queue, target.buffer, source.buffer, byte_count=count)
 
-    def download(self, array: DeviceArray) -> NDArray[Any]:
-        """Copy values to the host; waits for whatever computes them."""
-        values = np.zeros(array.shape, dtype=array.dtype)
-        if values.size:
-            with self._answering("computing"):
-                self._cl.enqueue_copy(self._queue, values, array.buffer)
-        return values
+    def download(self, arrays: Sequence[DeviceArray]) -> list[NDArray[Any]]:
+        """Copy values to the host; waits once, for whatever computes them."""
+        found = [np.zeros(array.shape, dtype=array.dtype) for array in arrays]
+        with self._answering("computing"):
+            for array, values in zip(arrays, found, strict=True):
+                if values.size:
+                    self._cl.enqueue_copy(self._queue, values, array.buffer, is_blocking=False)
+            self._queue.finish()
+        return found
 
     def finish(self) -> None:
         """Wait until everything launched is done."""
@@ -232,13 +245,8 @@ class Device:
         return functions[function]
 
     def _build(self, program: str, defines: Mapping[str, str | int]) -> dict[str, Any]:
-        common = {
-            "PRECISION": 8 * self.dtype.itemsize,
-            "ON_CPU": int(self.constants.name == "cpu"),
-            "WG": self.constants.work_group,
-            "V": self.panel_width // 2,
-        }
-        source = kernel_source(program, {**common, **defines})
+        common = {"PRECISION": 8 * self.dtype.itemsize, **self.constants.definitions(self.dtype.itemsize)}
+        source = kernel_source(program, {**common, **defines}, self.constants.options)
         require_own_process()
         start = time.perf_counter()
         try:
@@ -266,6 +274,7 @@ class Device:
         items = self.constants.work_group if work_group is None else work_group
         padded = (-(-lengths[0] // items) * items, *lengths[1:])
         require_own_process()
+        self.launches += 1
         values = [value.buffer if isinstance(value, DeviceArray) else value for value in arguments]
         local = (items,) + (1,) * (len(lengths) - 1)
         # Thousands of launches a second: a context manager would be felt here.
@@ -282,6 +291,7 @@ class Device:
             "device": facts.name,
             "platform": facts.platform_name,
             **{name: getattr(facts, name) for name in named},
+            "class": self.constants.name,
             "precision": self.dtype.name,
             "budget": self.budget,
             "allocated": self.allocated,

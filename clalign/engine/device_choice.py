@@ -31,6 +31,8 @@ class DeviceFacts:
     kind : "gpu", "cpu", "accelerator" or "other".
     units : compute units.
     largest_buffer : size of the largest single buffer.
+    largest_group : work-items of the largest work-group.
+    own_local_memory : whether local memory is memory of its own, and no part of the global one.
     double : whether it has double precision.
     vector : bytes of a vector register, as far as it has any.
     """
@@ -46,6 +48,8 @@ class DeviceFacts:
     memory: int
     largest_buffer: int
     local_memory: int
+    largest_group: int
+    own_local_memory: bool
     double: bool
     vector: int
 
@@ -99,6 +103,8 @@ def _facts(cl: Any, number: int, index: int, platform: Any, device: Any) -> Devi
         memory=int(device.global_mem_size),
         largest_buffer=int(device.max_mem_alloc_size),
         local_memory=int(device.local_mem_size),
+        largest_group=int(device.max_work_group_size),
+        own_local_memory=bool(device.local_mem_type == cl.device_local_mem_type.LOCAL),
         double=bool(device.double_fp_config),
         vector=4 * int(device.native_vector_width_float),
     )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clalign.engine.device import Device, DeviceArray
+from clalign.engine.launcher import launcher
+from clalign.engine.launching import Array
 from clalign.engine.reference import Reference
 from clalign.errors import InputError
 
@@ -19,30 +21,13 @@ else:
     # an operation without a kernel must fail, and not run in numpy.
     Specification = object
 
-Array: TypeAlias = DeviceArray
-ArrayPair: TypeAlias = tuple[Array, Array]
-
 Method = TypeVar("Method", bound=Callable[..., Any])
-
-ELEMENTS = 4096
-"""Elements of one work-item of an elementwise kernel."""
-
-TRANSPOSE_BLOCK = 16
-"""Rows and columns of a block of a transpose: what it reads and writes are whole cache lines."""
-
-PART = 512
-"""Elements of one part of a sum."""
 
 
 def operation(method: Method) -> Method:
     """Mark an operation: its twin in `Reference`, which must exist, documents it."""
     method.__doc__ = getattr(Reference, method.__name__).__doc__
     return method
-
-
-def ceil_div(a: int, b: int) -> int:
-    """Quotient rounded up."""
-    return -(-a // b)
 
 
 def require_shapes(function: str, **pairs: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
@@ -69,7 +54,7 @@ class KernelArrays(Specification):
     def __init__(self, device: Device) -> None:
         self.device = device
         self.dtype: np.dtype[Any] = device.dtype
-        self._tables: dict[tuple[Any, ...], Array] = {}
+        self._launcher = launcher(device)
 
     @property
     @operation
@@ -97,73 +82,59 @@ class KernelArrays(Specification):
         return array.get()
 
     @operation
+    def read(self, values: Sequence[Array | float]) -> list[NDArray[Any]]:
+        copies = iter(self.device.download([value for value in values if isinstance(value, DeviceArray)]))
+        return [next(copies) if isinstance(value, DeviceArray) else np.array(value) for value in values]
+
+    @operation
+    def quotient(
+        self, numerator: Array, denominator: Array, slope: Array, denominator_slope: Array
+    ) -> tuple[Array | float, Array]:
+        require_shapes("quotient", denominator_slope=(denominator_slope.shape, slope.shape))
+        require_shapes("quotient", numerator=(numerator.shape, ()), denominator=(denominator.shape, ()))
+        gradient = self._result("quotient", slope.shape, None)
+        return self._launcher.quotient(numerator, denominator, slope, denominator_slope, gradient), gradient
+
+    @operation
     def add(self, a: Array, b: Array, *, scale_a: float = 1.0, scale_b: float = 1.0, out: Array | None = None) -> Array:
         require_shapes("add", b=(b.shape, a.shape))
         result = self._result("add", a.shape, out)
-        kernel = self._elementwise("add")
-        self.device.launch(kernel, ceil_div(a.size, ELEMENTS), a.size, scale_a, scale_b, a, b, result)
+        self._launcher.add(a, b, scale_a, scale_b, result)
         return result
 
     @operation
     def scale_rows(self, a: Array, w: Array, *, out: Array | None = None) -> Array:
         require_shapes("scale_rows", w=(w.shape, a.shape[:1]))
         result = self._result("scale_rows", a.shape, out)
-        rows, width = a.shape
-        kernel = self._elementwise("scale_rows")
-        self.device.launch(kernel, rows, rows, width, a, w, result)
+        self._launcher.scale_rows(a, w, result)
         return result
 
     @operation
     def reciprocal(self, a: Array, *, out: Array | None = None) -> Array:
         result = self._result("reciprocal", a.shape, out)
-        self._reciprocal(a, result)
+        self._launcher.reciprocal(a, result)
         return result
 
     @operation
     def gather(self, a: Array, index: Array, *, out: Array | None = None) -> Array:
         require_index("gather", index)
-        width = a.shape[1]
-        result = self._result("gather", (*index.shape, width), out)
-        kernel = self._elementwise("gather_rows")
-        self.device.launch(kernel, index.size, index.size, width, a, index, result)
+        result = self._result("gather", (*index.shape, a.shape[1]), out)
+        self._launcher.gather(a, index, result)
         return result
 
     @operation
     def half_squares(self, a: Array, *, out: Array | None = None) -> Array:
         result = self._result("half_squares", a.shape[:1], out)
-        self._row_dots(a, a, result)
-        return self.add(result, result, scale_a=0.5, scale_b=0.0, out=result)
+        self._launcher.half_squares(a, result)
+        return result
 
     @operation
     def total(self, a: Array, w: Array | None = None) -> float:
+        if w is not None and w.size != a.size:
+            raise InputError(f"total: the weights have shape {w.shape}, the values {a.shape}")
         result = self.device.scratch("total", 1)
-        self._dot(a, w, result)
+        self._launcher.dot(a, w, result)
         return float(result.leading(()))
-
-    def _dot(self, a: Array, b: Array | None, result: Array, scale: float = 1.0, accumulate: bool = False) -> None:
-        """Queue result[0] (+)= scale · Σ a b."""
-        if b is not None and b.size != a.size:
-            raise InputError(f"total: the weights have shape {b.shape}, the values {a.shape}")
-        parts = ceil_div(a.size, PART)
-        partial = self.device.scratch("partial", parts)
-        launch, kernel = self.device.launch, self.device.kernel
-        launch(kernel("reduce", "partial_dots", RB=PART), parts, a.size, a, b, partial)
-        launch(kernel("reduce", "finish_sum", RB=PART), 1, parts, scale, int(accumulate), partial, result)
-
-    def _elementwise(self, function: str) -> Any:
-        """Return a kernel of ``elementwise.cl``, which is built once for all of them."""
-        return self.device.kernel("elementwise", function, EB=ELEMENTS, TB=TRANSPOSE_BLOCK)
-
-    def _reciprocal(self, a: Array, inverse: Array) -> None:
-        """Queue 1 / a, and 0 where a is 0, into as many leading elements of `inverse`."""
-        kernel = self._elementwise("reciprocal")
-        self.device.launch(kernel, ceil_div(a.size, ELEMENTS), a.size, a, inverse)
-
-    def _row_dots(self, a: Array, b: Array, dots: Array, inverse: Array | None = None) -> None:
-        """Queue dots[i] = a[i]·b[i] and its reciprocal (0 where it is 0)."""
-        rows, width = a.shape
-        kernel = self._elementwise("row_dots")
-        self.device.launch(kernel, rows, rows, width, a, b, dots, inverse)
 
     def _result(self, function: str, shape: tuple[int, ...], out: Array | None, dtype: Any = None) -> Array:
         """Return `out` after a check of its shape and type, or a new array."""
@@ -176,9 +147,3 @@ class KernelArrays(Specification):
         if out.dtype != kind:
             raise InputError(f"{function}: out holds {out.dtype.name}, needed is {kind.name}")
         return out
-
-    def _table(self, key: tuple[Any, ...], make: Callable[[], NDArray[Any]]) -> Array:
-        """Return a table that depends on the key only, made and uploaded once."""
-        if key not in self._tables:
-            self._tables[key] = self.array(make())
-        return self._tables[key]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from clalign.engine.band import Band
-from clalign.engine.kernels_arrays import Array, ArrayPair, operation, require_shapes
+from clalign.engine.kernels_arrays import operation, require_shapes
 from clalign.engine.kernels_products import KernelProducts
+from clalign.engine.launching import Array, ArrayPair
 
 
 class KernelLosses(KernelProducts):
@@ -28,6 +29,19 @@ class KernelLosses(KernelProducts):
         self.product(left_x, inside, scale=-1.0, accumulate=True, out=outside)
         self.weighted_gram(outside, outside, w, out=gram)
 
+        last, across = self._work("last", r_x, r_y), self._work("across", r_y, r_y)
+        if not self._launcher.distortion_core(core_x, core_y, inside, gram, value, last, across):
+            self._core_products(core_x, core_y, inside, gram, value, last, across)
+        self.product(left_x, last, scale=-4.0, out=slope)
+        self.product(outside, across, scale=4.0, accumulate=True, out=slope)
+        self.scale_rows(slope, w, out=slope)
+        return value, slope
+
+    def _core_products(
+        self, core_x: Array, core_y: Array, inside: Array, gram: Array, value: Array, last: Array, across: Array
+    ) -> None:
+        """Queue what Eq. 22 makes of small matrices (r_x, r_y), product by product; gram is used up."""
+        r_x, r_y = inside.shape
         mapped = self.product(inside, core_y, out=self._work("mapped", r_x, r_y))
         residual = self._work("residual", r_x, r_x)
         self.device.copy(core_x, residual)
@@ -35,21 +49,17 @@ class KernelLosses(KernelProducts):
         core_gram = self.product(core_y, gram, out=self._work("core_gram", r_y, r_y))
         gram_core = self.product(gram, core_y, out=self._work("gram_core", r_y, r_y))
         mixed = self.product(mapped, gram_core, out=self._work("mixed", r_x, r_y))
-        self._dot(residual, residual, value)
-        self._dot(mixed, inside, value, scale=2.0, accumulate=True)
+        self._launcher.dot(residual, residual, value)
+        self._launcher.dot(mixed, inside, value, scale=2.0, accumulate=True)
         # gram_core is the transpose of core_gram, since both factors are symmetric.
-        self._dot(core_gram, gram_core, value, accumulate=True)
+        self._launcher.dot(core_gram, gram_core, value, accumulate=True)
 
         self.product(inside, inside, transpose_a=True, accumulate=True, out=gram)
         core_full = self.product(core_y, gram, out=core_gram)
         along = self.product(core_x, inside, out=mapped)
         self.product(inside, core_full, scale=-1.0, accumulate=True, out=along)
-        last = self.product(along, core_y, out=mixed)
-        across = self.product(core_full, core_y, out=gram_core)
-        self.product(left_x, last, scale=-4.0, out=slope)
-        self.product(outside, across, scale=4.0, accumulate=True, out=slope)
-        self.scale_rows(slope, w, out=slope)
-        return value, slope
+        self.product(along, core_y, out=last)
+        self.product(core_full, core_y, out=across)
 
     @operation
     def alignment(
@@ -84,10 +94,7 @@ class KernelLosses(KernelProducts):
                 r_transposed, g_xy, left=band.transposed, kept=band, scale=-2.0, accumulate=True, out=slope
             )
             other, factor, trace_of = denominator_slope, 1.0, None
-        partial = self._work("alignment", 2, d)
-        rows, values = (self.device.kernel("alignment", name) for name in ("band_rows", "alignment_values"))
-        self.device.launch(rows, d, d, factor, *self._band_tables(band), r, other, slope, partial)
-        self.device.launch(values, 1, d, partial, trace_of, numerator, denominator)
+        self._launcher.band_sums(band, factor, r, other, slope, trace_of, (numerator, denominator))
         return numerator, denominator, slope, denominator_slope
 
     def _work(self, name: str, rows: int, columns: int) -> Array:

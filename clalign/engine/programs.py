@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -55,13 +55,14 @@ def program_names() -> tuple[str, ...]:
     return tuple(sorted(file.stem for file in kernel_folder().glob("*.cl") if SIGNATURE.search(_text(file.name))))
 
 
-def kernel_source(name: str, defines: Mapping[str, str | int]) -> Source:
+def kernel_source(name: str, defines: Mapping[str, str | int], options: Sequence[str] = ()) -> Source:
     """Put a program together: the prelude, and its file with what that includes.
 
     The text begins with a hash of itself and of the options: PoCL's cache may otherwise return a program that was
     built with other ``-D`` values.
 
     defines : ``-D`` names and values.
+    options : of the compiler, beside those of every program.
 
     Raises
     ------
@@ -71,9 +72,9 @@ def kernel_source(name: str, defines: Mapping[str, str | int]) -> Source:
     if name not in program_names():
         raise DeviceError(f"unknown kernel program {name!r}; there are {', '.join(program_names())}")
     body = f"{_text(PRELUDE)}\n{_expanded(name + '.cl')}"
-    options = ("-cl-mad-enable", *(f"-D{key}={value}" for key, value in sorted(defines.items())))
-    digest = hashlib.sha256("\0".join((body, *options)).encode()).hexdigest()
-    return Source(name, f"/* {digest} */\n{body}", options, _signatures(body))
+    every = ("-cl-mad-enable", *options, *(f"-D{key}={value}" for key, value in sorted(defines.items())))
+    digest = hashlib.sha256("\0".join((body, *every)).encode()).hexdigest()
+    return Source(name, f"/* {digest} */\n{body}", every, _signatures(body))
 
 
 def _text(file: str) -> str:

@@ -59,6 +59,21 @@ class ReferenceArrays:
         """Copy to numpy; waits for whatever computes the array."""
         return np.array(array)
 
+    def read(self, values: Sequence[Array | float]) -> list[NDArray[Any]]:
+        """Copy arrays to numpy, waiting once for all of them; numbers among them become arrays of shape ()."""
+        return [np.array(value) for value in values]
+
+    def quotient(
+        self, numerator: Array, denominator: Array, slope: Array, denominator_slope: Array
+    ) -> tuple[Array | float, Array]:
+        """Value a / b of arrays a and b of shape (), and its gradient da / b − (a / b²) db from theirs.
+
+        The value is a number where the backend waits for it, else an array of shape ().
+        """
+        scale = 1.0 / float(denominator)
+        value = float(numerator) * scale
+        return value, self.add(slope, denominator_slope, scale_a=scale, scale_b=-value * scale)
+
     def add(self, a: Array, b: Array, *, scale_a: float = 1.0, scale_b: float = 1.0, out: Array = None) -> Array:
         """Return scale_a · a + scale_b · b for arrays of one shape; `out` may be `a` or `b`."""
         return stored(self.dtype.type(scale_a) * a + self.dtype.type(scale_b) * b, out)

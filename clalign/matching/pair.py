@@ -119,8 +119,8 @@ def _matched(
     source: Any, target: Any, options: Options, given: _Given, clock: Clock, cache: ShapeCache | None
 ) -> Correspondence:
     with clock.stage("read"):
-        strict = options.surface.strict
-        meshes = as_mesh(source, "source", strict=strict), as_mesh(target, "target", strict=strict)
+        reading: dict[str, Any] = {"strict": options.surface.strict, "component": options.surface.component or None}
+        meshes = as_mesh(source, "source", **reading), as_mesh(target, "target", **reading)
         start = None if given.start is None else starting_map(given.start, *meshes, options.rules.start)
         landmarks = None if given.landmarks is None else landmarks_of(given.landmarks, *meshes, given.tolerance)
         beside = None if given.descriptors is None else descriptors_of(given.descriptors, *meshes, given.weight)

@@ -16,13 +16,13 @@ from clalign.matching.part_result import part_result
 from clalign.matching.state import orientation_sign
 from clalign.mesh.mesh import Mesh
 from clalign.options import Options
-from clalign.part_rules import PartRules
 from clalign.partial.extent import Side, suspected_part
 from clalign.partial.find import Placement, cover
 from clalign.partial.partiality import Partiality
 from clalign.partial.scale import placed
 from clalign.partial.surface import SampledSurface, part_surface, whole_surface
 from clalign.partial.whole import Whole
+from clalign.rules.parts import PartRules
 
 
 @dataclass(frozen=True)

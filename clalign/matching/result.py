@@ -22,7 +22,8 @@ from clalign.matching.state import MatchState, orientation_sign, required
 from clalign.mesh.mesh import Mesh
 from clalign.options import Options, odd_sizes
 from clalign.refinement.landmarks import disagreement, kept_exactly
-from clalign.search.score import facing
+from clalign.refinement.relations import Relation, relation
+from clalign.search.score import facing, over
 
 PACKAGE = __name__.partition(".")[0]
 
@@ -41,6 +42,8 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
     maps, landmarks = _with_landmarks(state, maps)
     size = len(functional_map)
     points = state.points
+    relations = _relations(state)
+    equally_good = _equally_good(state, relations)
     source_scale_invariant, target_scale_invariant = state.scale_invariant(required(state.start).signs)
     return Correspondence(
         source=source.mesh,
@@ -57,7 +60,7 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
         confidence=float("nan") if found is None else found.confidence,
         orientation=float("nan") if found is None else found.chosen.orientation,
         distortion=local_distortion(source, target, maps.target_of_source),
-        alternatives=_alternatives(state),
+        alternatives=_alternatives(state, relations),
         timings=timings,
         landmarks=landmarks,
         warnings=(
@@ -65,7 +68,9 @@ def correspondence(state: MatchState, backend: Backend, options: Options, timing
             *_remarks(state, options),
             *_failures(state),
             *_doubts(state, options),
+            *_said_of_equals(equally_good),
         ),
+        equally_good=equally_good,
         device=backend.name,
         options=options,
         versions=versions(),
@@ -82,7 +87,7 @@ def _with_landmarks(state: MatchState, maps: PointMaps) -> tuple[PointMaps, tupl
     landmarks = state.landmarks
     if landmarks is None:
         return maps, ()
-    off = disagreement(state.target, maps, landmarks)
+    off = disagreement(state.source, state.target, maps, landmarks)
     agreed = off <= state.options.rules.landmarks.contradicted + landmarks.tolerance
     source, target = state.source.mesh, state.target.mesh
     fates = tuple(
@@ -124,7 +129,63 @@ def local_distortion(source: Shape, target: Shape, target_of_source: NDArray[np.
     return np.asarray(weights @ np.abs(rows - mapped[:, target_of_source]), dtype=np.float64)
 
 
-def _alternatives(state: MatchState) -> tuple[Alternative, ...]:
+def _relations(state: MatchState) -> list[Relation]:
+    """How each candidate of the search differs from the chosen one, of the best ones."""
+    rules, found = state.options.rules.relations, state.found
+    return [
+        relation(
+            state.source,
+            required(found).chosen.functional,
+            other.functional,
+            reversing=other.orientation * required(found).chosen.orientation < 0,
+            rules=rules,
+        )
+        for other in (() if found is None else found.alternatives[: rules.most])
+    ]
+
+
+def _equally_good(state: MatchState, relations: list[Relation]) -> tuple[dict[str, Any], ...]:
+    """What is known of the candidates whose score is about that of the chosen one."""
+    found, rules, exact = state.found, state.options.rules, state.options.rules.rivals
+    if found is None:
+        return ()
+    equals = []
+    for number, (other, how) in enumerate(zip(found.alternatives, relations, strict=False), start=1):
+        as_good = over(other.score, found.chosen.score) <= rules.relations.equal
+        # Scores of exact copies are rounding, and cannot be compared.
+        as_good |= found.chosen.score < exact.exact and other.score <= exact.resolution
+        passes = facing(np.array(other.orientation), orientation_sign(state.options)) > rules.search.least_orientation
+        if as_good and passes:
+            equals.append(
+                {
+                    "relation": how.words(rules.relations),
+                    "reversing": how.reversing,
+                    "order": how.order,
+                    "moved": how.moved,
+                    "alternative": number if number <= len(state.alternatives) else None,
+                }
+            )
+    return tuple(equals)
+
+
+def _said_of_equals(equals: tuple[dict[str, Any], ...]) -> list[str]:
+    if not equals:
+        return []
+    kept = [str(each["alternative"]) for each in equals if each["alternative"] is not None]
+    way = (
+        f"start from it with --start RESULT --start-map {' or '.join(kept)}"
+        if kept
+        else f"keep them with --alternatives {len(equals)} to see and to take one"
+    )
+    one = len(equals) == 1
+    listed = "; ".join(each["relation"] for each in equals)
+    return [
+        f"{len(equals)} other {'map is' if one else 'maps are'} about as good as the chosen one ({listed}): if another "
+        f"is meant, give a landmark with --landmarks, or {way}"
+    ]
+
+
+def _alternatives(state: MatchState, relations: list[Relation]) -> tuple[Alternative, ...]:
     if state.found is None:
         return ()
     source, target = state.source.mesh, state.target.mesh
@@ -134,8 +195,9 @@ def _alternatives(state: MatchState) -> tuple[Alternative, ...]:
             score=candidate.score,
             orientation=candidate.orientation,
             distance=candidate.distance,
+            relation=how.words(state.options.rules.relations),
         )
-        for maps, candidate in zip(state.alternatives, state.found.alternatives, strict=False)
+        for maps, candidate, how in zip(state.alternatives, state.found.alternatives, relations, strict=False)
     )
 
 

@@ -59,11 +59,21 @@ def starting_map(start: Any, source: Mesh, target: Mesh, rules: StartRules) -> N
     elif isinstance(start, (tuple, list)) and len(start) == 3 and np.ndim(start[0]) == 2:
         found = _of_functional_map(start[0], start[1], start[2], source, target)
     else:
-        found = source.map_from_file(target, _file_map(start, source, target))
+        found = _on_surface(_file_map(start, source, target), source, target)
     known = int((found >= 0).sum())
     if told_apart(known) < 1:
         raise InputError(f"the start knows the matches of {known} vertices on the surface, which is too few")
     return found
+
+
+def _on_surface(matches: NDArray[np.int64], source: Mesh, target: Mesh) -> NDArray[np.int64]:
+    """(n_x,) a map between the files on the surfaces; of vertices that were joined, the first whose match is known."""
+    found = source.map_from_file(target, matches)
+    to_surface = np.where(matches >= 0, target.vertex_of_file[matches], -1)
+    known = np.flatnonzero((to_surface >= 0) & (source.vertex_of_file >= 0))[::-1]
+    first = np.full(source.n_vertices, -1)
+    first[source.vertex_of_file[known]] = to_surface[known]
+    return np.where(found >= 0, found, first)
 
 
 def _file_map(start: Any, source: Mesh, target: Mesh) -> NDArray[np.int64]:

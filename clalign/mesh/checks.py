@@ -105,6 +105,11 @@ def _put_right(exam: Examination) -> None:
         _check_area(exam)
         if exam.refused:
             return
+    bare = bare_vertices(exam.surface)[0]
+    if bare.any():
+        problem = f"{int(bare.sum())} vertices are without area again whenever others are mended"
+        exam.add("no-area", int(bare.sum()), problem, vertices=np.flatnonzero(bare), advice="remesh it")
+        return
     for check in _LAST_CHECKS:
         check(exam)
     _attach_points(exam)

@@ -107,7 +107,8 @@ def _keep(
     loose = off[carried[ranks]]
     places = vertex_of_file[loose]
     numbers = np.unique(rank[places], return_inverse=True)[1].reshape(-1)
-    exam.loose = exam.loose.with_more(loose, surface.vertices[places], numbers.astype(np.int64))
+    faces = surface.file_index[surface.faces[carried[rank_of_face]]]
+    exam.loose = exam.loose.with_more(loose, surface.vertices[places], numbers.astype(np.int64), faces)
     samples = np.unique(rank, return_index=True)[1][1:]
     problem = f"the mesh has {len(areas)} separate pieces: {_described(surface, rank_of_face, areas, NAMED)}"
     which = f"piece {chosen + 1} is matched, as asked for" if chosen else "the largest is matched"

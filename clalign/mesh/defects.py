@@ -112,20 +112,27 @@ class LoosePieces:
     """(k, 3) their places, in the unit of the surface that they go with."""
     piece: NDArray[np.int64]
     """(k,) number of the piece that each belongs to, counted from 0."""
+    faces: NDArray[np.int64]
+    """(q, 3) its triangles, in the given numbers."""
 
     @staticmethod
     def none() -> LoosePieces:
         """Nothing loose."""
-        return LoosePieces(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
+        return LoosePieces(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))
 
     def with_more(
-        self, file_index: NDArray[np.int64], vertices: NDArray[np.float64], piece: NDArray[np.int64]
+        self,
+        file_index: NDArray[np.int64],
+        vertices: NDArray[np.float64],
+        piece: NDArray[np.int64],
+        faces: NDArray[np.int64],
     ) -> LoosePieces:
         """These pieces and others, which are numbered after them."""
         return LoosePieces(
             np.concatenate([self.file_index, file_index]),
             np.concatenate([self.vertices, vertices]),
             np.concatenate([self.piece, piece + len(np.unique(self.piece))]),
+            np.concatenate([self.faces, faces]),
         )
 
 

@@ -37,6 +37,8 @@ class Glued:
     """How many vertices more there are than before."""
     dropped: IntArray
     """Given numbers of the faces at edges that could not be cut."""
+    left: int
+    """Edges and vertices that are still no surface after all passes; 0 for every mesh that is known."""
 
 
 def glued(surface: Surface) -> Glued:
@@ -67,7 +69,10 @@ def glued(surface: Surface) -> Glued:
             bad[np.flatnonzero(crowded[table.edge_of_half_edge]) % len(bad)] = True
             dropped.append(surface.face_index[bad])
             surface = surface.keep(~bad)
-    return Glued(surface, _gathered(turned), doubled, _gathered(dropped))
+    table = topology.edge_table(surface.faces, len(surface.vertices))
+    fans = topology.fan_counts(surface.faces, table, len(surface.vertices))
+    left = int((table.face_count > 2).sum() + (fans > 1).sum())
+    return Glued(surface, _gathered(turned), doubled, _gathered(dropped), left)
 
 
 def _gathered(parts: list[IntArray]) -> IntArray:

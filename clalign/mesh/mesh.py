@@ -71,6 +71,11 @@ class Mesh:
         """(m, 3) corners of the triangles, numbered as in the file."""
         return self.file_index[self.faces]
 
+    @property
+    def all_file_faces(self) -> NDArray[np.int64]:
+        """(m + q, 3) `file_faces`, and after them the triangles of loose pieces."""
+        return np.concatenate([self.file_faces, self.loose.faces])
+
     def file_vertices(self) -> NDArray[np.float64]:
         """(n, 3) positions of the vertices in the file's own unit and place."""
         return self.vertices * self.scale + self.offset
@@ -152,7 +157,7 @@ def mesh_from_arrays(
     return _mesh_from_diagnosis(found, name, file, ())
 
 
-def as_mesh(thing: Any, name: str = "mesh", *, strict: bool = False) -> Mesh:
+def as_mesh(thing: Any, name: str = "mesh", *, strict: bool = False, component: int | None = None) -> Mesh:
     """Take a mesh in any form a caller may hold it in.
 
     Parameters
@@ -161,7 +166,7 @@ def as_mesh(thing: Any, name: str = "mesh", *, strict: bool = False) -> Mesh:
         faces), or an array of points (n, 3)
     name : str
         name for a mesh that does not come from a file.
-    strict : bool
+    strict, component
         see `load_mesh`; a `Mesh` is taken as it is.
 
     Raises
@@ -172,13 +177,13 @@ def as_mesh(thing: Any, name: str = "mesh", *, strict: bool = False) -> Mesh:
     if isinstance(thing, Mesh):
         return thing
     if isinstance(thing, (str, os.PathLike)):
-        return load_mesh(thing, strict=strict)
+        return load_mesh(thing, strict=strict, component=component)
     if hasattr(thing, "vertices"):
-        return mesh_from_arrays(thing.vertices, getattr(thing, "faces", ()), name, strict=strict)
+        return mesh_from_arrays(thing.vertices, getattr(thing, "faces", ()), name, strict=strict, component=component)
     if isinstance(thing, (tuple, list)) and len(thing) == 2:
-        return mesh_from_arrays(thing[0], thing[1], name, strict=strict)
+        return mesh_from_arrays(thing[0], thing[1], name, strict=strict, component=component)
     if isinstance(thing, np.ndarray):
-        return mesh_from_arrays(thing, (), name, strict=strict)
+        return mesh_from_arrays(thing, (), name, strict=strict, component=component)
     raise MeshError(
         f"{name}: expected a path, a trimesh object, a pair (vertices, faces) or an array of points (n, 3), not "
         f"{type(thing).__name__}. Of a scene, load the mesh first."

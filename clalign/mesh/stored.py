@@ -13,7 +13,7 @@ from clalign.mesh.defects import LoosePieces
 from clalign.mesh.mesh import Mesh
 
 _ARRAYS = ("vertices", "faces", "offset", "file_index", "vertex_of_file")
-_LOOSE = ("file_index", "vertices", "piece")
+_LOOSE = ("file_index", "vertices", "piece", "faces")
 
 
 def mesh_facts(mesh: Mesh) -> dict[str, Any]:
@@ -40,14 +40,15 @@ def mesh_arrays(mesh: Mesh) -> dict[str, NDArray[Any]]:
 def stored_mesh(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Mesh:
     """Return the mesh of `mesh_facts` and `mesh_arrays`; KeyError for what is missing.
 
-    Results of an earlier version have no vertices that were joined, parted or carried, and no arrays for them.
+    Results of earlier versions have no vertices that were joined, parted or carried, or no faces of the carried ones.
     """
     file_index = arrays["file_index"]
     vertex_of_file = np.full(int(facts["file_vertices"]), -1, dtype=np.int64)
     vertex_of_file[file_index] = np.arange(len(file_index))
     loose = LoosePieces.none()
     if "loose.file_index" in arrays:
-        loose = LoosePieces(*(arrays[f"loose.{name}"] for name in _LOOSE))
+        none = np.zeros((0, 3), dtype=np.int64)
+        loose = LoosePieces(*(arrays.get(f"loose.{name}", none) for name in _LOOSE))
     return Mesh(
         vertices=arrays["vertices"],
         faces=arrays["faces"],

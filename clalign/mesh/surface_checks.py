@@ -90,6 +90,9 @@ def _part(exam: Examination) -> None:
     """Glue the surface anew; what more that changes is said under the numbers of the file."""
     result = glued(exam.surface)
     exam.surface = result.surface
+    if result.left:
+        problem = f"{result.left} edges and vertices of several sheets could not be parted"
+        exam.add("unparted", result.left, problem, advice="remesh it, or delete the faces that are not meant")
     if len(result.turned):
         problem = f"{len(result.turned)} {plural(len(result.turned), 'face is', 'faces are')} turned against the others"
         exam.defects.append(_of_faces("orientation", problem, result.turned, "turned round"))

@@ -32,12 +32,26 @@ def save_mesh(
         for another suffix, colours that do not fit, or a file that cannot be written.
     """
     path = Path(path)
+    write_bytes(path, mesh_bytes(path, vertices, faces, colours))
+
+
+def mesh_bytes(path: Path, vertices: ArrayLike, faces: ArrayLike, colours: ArrayLike | None = None) -> bytes:
+    """Return what `save_mesh` writes."""
     require_format(path)
     points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
     triangles = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
-    content = _WRITERS[path.suffix.lower()](
-        points, triangles, None if colours is None else _colour_bytes(colours, len(points), path)
-    )
+    colour_rows = None if colours is None else _colour_bytes(colours, len(points), path)
+    return _WRITERS[path.suffix.lower()](points, triangles, colour_rows)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write the content of a mesh file, which appears whole or not at all.
+
+    Raises
+    ------
+    MeshError
+        The file cannot be written.
+    """
     try:
         with replaced_file(path) as stream:
             stream.write(content)

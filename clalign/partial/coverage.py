@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from clalign.geometry.operators import diffused
 from clalign.mesh.topology import side_lengths
-from clalign.part_rules import PartCoverageRules
 from clalign.partial.surface import SampledSurface
+from clalign.rules.parts import PartCoverageRules
 
 
 def covered(

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.geometry.operators import diffused
-from clalign.part_rules import PartDescriptorRules
 from clalign.partial.surface import SampledSurface
+from clalign.rules.parts import PartDescriptorRules
 
 LEAST = 1e-9
 """Areas and curvatures below are none; their logarithms would not be finite."""

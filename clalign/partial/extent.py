@@ -9,7 +9,7 @@ import numpy as np
 
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.topology import boundary_edges, graph_components
-from clalign.part_rules import PartExtentRules
+from clalign.rules.parts import PartExtentRules
 
 Side = Literal["source", "target"]
 

@@ -11,9 +11,9 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 
 from clalign.mesh.topology import face_normals, vertex_normals
-from clalign.part_rules import PartFacingRules
 from clalign.partial.intervals import Intervals
 from clalign.partial.surface import SampledSurface
+from clalign.rules.parts import PartFacingRules
 
 
 def triple_products(surface: SampledSurface, sources: NDArray[np.int64], at: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from clalign.engine import HOST
 from clalign.engine.backend import Backend
 from clalign.geometry.sampling import VertexOrder
-from clalign.part_rules import PartRules
 from clalign.partial.coverage import covered
 from clalign.partial.descriptors import ball_profiles, curvature_fields, look_costs
 from clalign.partial.facing import orientation
@@ -18,6 +17,7 @@ from clalign.partial.growth import GrownMap, anchored, back_map, grown
 from clalign.partial.search import Assignment, Assignments, search
 from clalign.partial.surface import SampledSurface
 from clalign.partial.whole import Whole, sample_bounds
+from clalign.rules.parts import PartRules
 
 
 @dataclass(frozen=True, eq=False)

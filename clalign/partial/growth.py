@@ -19,9 +19,9 @@ from clalign.geometry.sampling import VertexOrder
 from clalign.maps.functional_maps import MatchedRows, functional_map
 from clalign.maps.nearest import Orders, nearest_rows, nearest_vertices
 from clalign.mesh.topology import edge_table
-from clalign.part_rules import PartGrowthRules, PartSearchRules, PartStart
 from clalign.partial.intervals import Intervals, misfits, tolerances
 from clalign.partial.surface import SampledSurface
+from clalign.rules.parts import PartGrowthRules, PartSearchRules, PartStart
 
 Fields = tuple[NDArray[np.float64], NDArray[np.float64]]
 

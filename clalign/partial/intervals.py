@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.part_rules import PartSearchRules
+from clalign.rules.parts import PartSearchRules
 
 Floats = NDArray[np.float32]
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from clalign.part_rules import PartRules
 from clalign.partial.find import Placement, place
 from clalign.partial.surface import SampledSurface
 from clalign.partial.whole import Whole, sample_bounds
+from clalign.rules.parts import PartRules
 
 Report = Callable[[float], None]
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.part_rules import PartSearchRules
 from clalign.partial.intervals import Floats, Intervals, misfits, tolerances
+from clalign.rules.parts import PartSearchRules
 from clalign.search.batch import without_duplicates
 
 
@@ -45,6 +45,7 @@ class Assignment:
     part : (S, S) bounds of the distances among the part's samples.
     whole : (P, P) the same among the places.
     look : (S, P) costs; see `descriptors.look_costs`.
+    rules : of the search.
     """
 
     part: Intervals

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from scipy.sparse import csgraph
 
 from clalign.geometry.cache import ShapeCache
-from clalign.geometry.geodesics import Sampler
+from clalign.geometry.geodesics import Sampler, affordable_samples
 from clalign.geometry.heat import FastMarching, farthest_points
 from clalign.geometry.operators import lumped_mass, mean_curvature, stiffness
 from clalign.geometry.shape import stored_basis, stored_geodesics
 from clalign.geometry.spectra import Spectrum
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.topology import boundary_vertices
-from clalign.part_rules import PartRules
+from clalign.rules.parts import PartRules
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ def whole_surface(
     ConvergenceError
         An eigenpair is not accurate.
     """
-    count = rules.samples.places
+    count = affordable_samples(mesh.n_vertices, rules.samples.places, rules.samples.fewest)
     geodesics = stored_geodesics(mesh, count, count, sampler, cache)
     front = FastMarching(mesh.vertices, mesh.faces, mesh.name)
     return _surface(mesh, front, geodesics.samples, geodesics.rows, rules.samples.functions, rules, cache)

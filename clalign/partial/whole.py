@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from clalign.part_rules import PartRules
 from clalign.partial.descriptors import BallProfiles, ball_profiles, curvature_fields, look_costs
 from clalign.partial.facing import orientation
 from clalign.partial.growth import anchored
 from clalign.partial.intervals import Intervals
 from clalign.partial.search import Assignment, search
 from clalign.partial.surface import SampledSurface
+from clalign.rules.parts import PartRules
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,9 @@
 """Writes a match for other programs.
 
 Text maps, coloured PLY and textured OBJ use the vertex numbers of the mesh files; the faces of PLY and OBJ are those of
-the surface that was matched. The eigenfunctions exist only for vertices on that surface, so NumPy, MATLAB, pyFM and
-geomfum exports number vertices as the arrays in the same file do (the two numberings agree where a file is one clean
-surface).
+the surface that was matched and of the loose pieces that were carried along. The eigenfunctions exist only for vertices
+on that surface, so NumPy, MATLAB, pyFM and geomfum exports number vertices as the arrays in the same file do (the two
+numberings agree where a file is one clean surface).
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from scipy.spatial import cKDTree
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
 from clalign.geometry.operators import stiffness
+from clalign.mesh.front import Up, front_view
 from clalign.mesh.mesh import Mesh
 from clalign.mesh.writing import save_mesh
-from clalign.presentation.camera import Up, front_view
 from clalign.presentation.picture import pair_colours
 from clalign.presentation.raster import write_png
 from clalign.storage.files import visible
@@ -59,7 +59,7 @@ def export_ply(correspondence: Correspondence, folder: str | Path, *, up: Up | N
     keep_originals(correspondence, paths)
     colours = _file_colours(correspondence, up)
     for path, mesh, rows in zip(paths, meshes, colours, strict=True):
-        save_mesh(path, mesh.file_positions(), mesh.file_faces, rows)
+        save_mesh(path, mesh.file_positions(), mesh.all_file_faces, rows)
     return paths
 
 
@@ -73,10 +73,17 @@ def _file_colours(correspondence: Correspondence, up: Up | None) -> tuple[NDArra
     target_rows, source_rows = target.to_file(on_target, 0.5), source.to_file(on_source, 0.5)
     if len(target.loose.vertices):
         target_rows[target.loose.file_index] = on_target[cKDTree(target.vertices).query(target.loose.vertices)[1]]
-    loose = source.loose.file_index
+    return _with_loose(correspondence, source_rows, target_rows), target_rows
+
+
+def _with_loose(
+    correspondence: Correspondence, on_source: NDArray[np.float64], on_target: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return rows of the source's file, those of loose vertices set to the target's rows at their matches."""
+    loose = correspondence.source.loose.file_index
     match = correspondence.target_of_source[loose]
-    source_rows[loose[match >= 0]] = target_rows[match[match >= 0]]
-    return source_rows, target_rows
+    on_source[loose[match >= 0]] = on_target[match[match >= 0]]
+    return on_source
 
 
 def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | None = None) -> list[Path]:
@@ -86,13 +93,16 @@ def export_obj(correspondence: Correspondence, folder: str | Path, *, up: Up | N
     """
     folder, target = _ready(folder), correspondence.target
     keep_originals(correspondence, [folder / name for name in FILES["obj"]])
-    seen = target.vertices @ front_view(target.vertices, up)[:2].T
+    view = front_view(target.vertices, up)[:2].T
+    seen = target.vertices @ view
     low, span = seen.min(axis=0), np.ptp(seen, axis=0).max()
-    laid = 0.02 + 0.96 * (seen - low) / span
-    carried = surface_map(correspondence).pull(laid)
+    in_place = (target.file_positions() - target.offset) / target.scale
+    on_target = 0.02 + 0.96 * (in_place @ view - low) / span
+    pulled = surface_map(correspondence).pull(target.from_file(on_target))
+    on_source = _with_loose(correspondence, correspondence.source.to_file(pulled, 0.0), on_target)
     materials = ("mtllib texture.mtl", "usemtl checkers")
-    for side, mesh, rows in (("source", correspondence.source, carried), ("target", target, laid)):
-        texture = Texture(rows, mesh.faces.astype(np.int64), mesh.file_faces, materials)
+    for side, mesh, rows in (("source", correspondence.source, on_source), ("target", target, on_target)):
+        texture = Texture(rows, mesh.all_file_faces, mesh.all_file_faces, materials)
         write_textured_obj(folder / f"{side}.obj", mesh.file_positions(), texture)
     (folder / "texture.mtl").write_text(_MATERIAL, encoding="ascii")
     write_png(folder / "texture.png", _checkers())

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
-from clalign.presentation.camera import Up, facing_rotation, front_view
+from clalign.mesh.front import Up, front_view
+from clalign.presentation.camera import facing_rotation
 from clalign.presentation.raster import png_bytes, rasterise, with_word, write_png
 from clalign.transfer.colours import UNMATCHED, carried_colours, position_colours
 from clalign.transfer.surface_map import surface_map

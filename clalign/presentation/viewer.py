@@ -7,7 +7,7 @@ from typing import Any
 
 from clalign.correspondence import Correspondence
 from clalign.errors import InputError
-from clalign.presentation.camera import Up
+from clalign.mesh.front import Up
 from clalign.presentation.picture import pair_colours, pair_views
 
 

@@ -137,11 +137,15 @@ def _miss(
     return float(np.minimum(off, rules.cap).mean())
 
 
-def disagreement(target: Shape, maps: PointMaps, landmarks: Landmarks) -> NDArray[np.float64]:
-    """Return (k,) how far each landmark of the target is from where a map sends that of the source, in sqrt(area)."""
-    rows = landmark_distances(target, landmarks.target)
-    images = maps.target_of_source[landmarks.source]
-    return np.asarray(rows[np.arange(len(landmarks)), images], dtype=np.float64)
+def disagreement(source: Shape, target: Shape, maps: PointMaps, landmarks: Landmarks) -> NDArray[np.float64]:
+    """Return (k,) how far each landmark is from where the map sends its counterpart, in sqrt(area).
+
+    Of both directions the farther one: the maps may be wrong in one of them alone.
+    """
+    number = np.arange(len(landmarks))
+    forward = landmark_distances(target, landmarks.target)[number, maps.target_of_source[landmarks.source]]
+    backward = landmark_distances(source, landmarks.source)[number, maps.source_of_target[landmarks.target]]
+    return np.maximum(forward, backward).astype(np.float64)
 
 
 def kept_exactly(maps: PointMaps, landmarks: Landmarks, agreed: NDArray[np.bool_]) -> PointMaps:

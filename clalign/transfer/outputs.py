@@ -8,6 +8,7 @@ from pathlib import Path
 
 from clalign.correspondence import Correspondence
 from clalign.errors import ResultError
+from clalign.mesh.mesh import Mesh
 from clalign.storage.folders import check_files
 
 
@@ -31,9 +32,14 @@ def keep_originals(correspondence: Correspondence, paths: Sequence[Path]) -> Non
     ResultError
         Naming the first such file.
     """
+    keep_meshes((correspondence.source, correspondence.target), paths)
+
+
+def keep_meshes(meshes: tuple[Mesh, Mesh], paths: Sequence[Path]) -> None:
+    """Do what `keep_originals` does for a source and a target that are still to be matched."""
     for path in paths:
-        for role in ("source", "target"):
-            own = getattr(correspondence, role).path
+        for role, mesh in zip(("source", "target"), meshes, strict=True):
+            own = mesh.path
             if own is not None and _same(path, Path(own)):
                 raise ResultError(
                     f"{path}: is the {role} of this match, and the original is worth keeping; choose another --out"

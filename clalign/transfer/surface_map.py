@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from clalign.correspondence import Correspondence
 from clalign.errors import ResultError
 from clalign.mesh.mesh import Mesh
+from clalign.refinement.precise import SurfacePoints
+from clalign.transfer.precise_map import precise_places
 
 Direction = Literal["to_source", "to_target"]
 
@@ -46,22 +48,30 @@ class SurfaceMap:
         return np.asarray(pulled)
 
 
-def surface_map(correspondence: Correspondence, direction: Direction = "to_source") -> SurfaceMap:
+def surface_map(
+    correspondence: Correspondence, direction: Direction = "to_source", *, precise: bool = False
+) -> SurfaceMap:
     """Return the map that carries values of the target "to_source", or of the source "to_target".
 
-    "to_source" pulls functions on the target back through `target_of_source`, where known within faces; "to_target"
-    pulls functions on the source back through `source_of_target`.
+    "to_source" pulls functions on the target back through `target_of_source`, within faces where the match has kept
+    that; "to_target" pulls functions on the source back through `source_of_target`.
+
+    precise : within faces in both directions, read from the eigenfunctions where the match has kept vertices only.
     """
     source, target = correspondence.source, correspondence.target
-    if direction == "to_target":
-        return vertex_map(correspondence.source_of_target, target, source)
-    coarse = vertex_map(correspondence.target_of_source, source, target)
-    if correspondence.barycentric is None:
+    forward = direction == "to_source"
+    here, there = (source, target) if forward else (target, source)
+    matches = correspondence.target_of_source if forward else correspondence.source_of_target
+    coarse = vertex_map(matches, here, there)
+    if forward and correspondence.barycentric is not None:
+        points = SurfacePoints(*map(source.from_file, correspondence.barycentric))
+    elif precise:
+        points = precise_places(correspondence, forward=forward)
+    else:
         return coarse
-    faces, weights = map(source.from_file, correspondence.barycentric)
-    known = (faces >= 0) & coarse.matched
-    corners = np.where(known[:, None], target.faces[np.maximum(faces, 0)], coarse.corners)
-    return SurfaceMap(coarse.vertex, corners, np.where(known[:, None], weights, coarse.weights))
+    known = (points.faces >= 0) & coarse.matched
+    corners = np.where(known[:, None], there.faces[np.maximum(points.faces, 0)], coarse.corners)
+    return SurfaceMap(coarse.vertex, corners, np.where(known[:, None], points.barycentric, coarse.weights))
 
 
 def vertex_map(file_map: NDArray[np.integer], here: Mesh, there: Mesh) -> SurfaceMap:

@@ -18,10 +18,11 @@ from clalign.errors import InputError
 from clalign.geometry.operators import lumped_mass, stiffness
 from clalign.maps.file_maps import carried as moved_along
 from clalign.mesh.mesh import Mesh
+from clalign.transfer.labels import without_speckles
 from clalign.transfer.surface_map import SurfaceMap, surface_map
 
 Side = Literal["source", "target"]
-Route = Literal["points", "functional"]
+Route = Literal["points", "precise", "functional"]
 
 
 def sides(correspondence: Correspondence, origin: Side) -> tuple[Mesh, Mesh]:
@@ -39,9 +40,9 @@ def sides(correspondence: Correspondence, origin: Side) -> tuple[Mesh, Mesh]:
     raise InputError(f"the origin must be 'source' or 'target', got {origin!r}")
 
 
-def map_from(correspondence: Correspondence, origin: Side) -> SurfaceMap:
-    """Return the map that pulls values of `origin` to the other shape."""
-    return surface_map(correspondence, "to_target" if origin == "source" else "to_source")
+def map_from(correspondence: Correspondence, origin: Side, *, precise: bool = False) -> SurfaceMap:
+    """Return the map that pulls values of `origin` to the other shape; `precise` as of `surface_map`."""
+    return surface_map(correspondence, "to_target" if origin == "source" else "to_source", precise=precise)
 
 
 def carry_values(
@@ -54,9 +55,10 @@ def carry_values(
     values : (vertices in the origin's file,) or (…, c) float.
     origin : the shape that the values belong to.
     route : "points" gives each vertex the value at its match (interpolated inside a face where the match has
-        sub-vertex places); "functional" sends smooth functions of the source through C, so that what comes out is
-        smooth but loses detail finer than the eigenfunctions. Where the source has no finite value it is filled in
-        smoothly before, and the matches of those vertices get NaN.
+        sub-vertex places); "precise" interpolates inside faces for any match, from its eigenfunctions, which is
+        smoother; "functional" sends smooth functions of the source through C, so that what comes out is smooth but
+        loses detail finer than the eigenfunctions. Where the source has no finite value it is filled in smoothly
+        before, and the matches of those vertices get NaN.
 
     Returns
     -------
@@ -73,27 +75,42 @@ def carry_values(
     if route == "functional":
         if origin != "source":
             raise InputError("C leads from the source to the target; carry from the source, or use route 'points'")
+        if correspondence.shown_map:
+            raise InputError("C belongs to the chosen map, not to its alternatives; use route 'points'")
         known = np.isfinite(rows)
         carried = _through_functional_map(correspondence, _filled_in(here, rows, known))
         # One value that is missing would else be missing in every coefficient, and so everywhere.
         carried[map_from(correspondence, origin).pull((~known).astype(np.float64)) > 0] = np.nan
     else:
-        pull = map_from(correspondence, origin)
+        pull = map_from(correspondence, origin, precise=route == "precise")
         carried = pull.pull(rows)
         carried[~pull.matched] = np.nan
     return _with_loose(correspondence, origin, there.to_file(carried, np.nan), given)
 
 
-def carry_labels(correspondence: Correspondence, labels: ArrayLike, *, origin: Side = "source") -> NDArray[np.int64]:
-    """Give each vertex of the other shape the label of the vertex that it is matched with.
+def carry_labels(
+    correspondence: Correspondence, labels: ArrayLike, *, origin: Side = "source", speckles: bool = False
+) -> NDArray[np.int64]:
+    """Give each vertex of the other shape the label of the vertex that it is matched with, without speckles.
 
     Labels (vertices in the origin's file,) become (vertices in the other file,) int64, -1 where there is no match.
+
+    Parameters
+    ----------
+    speckles : keep what `clalign.transfer.labels.without_speckles` would take out.
 
     Raises
     ------
     InputError
         Wrong number of labels, or labels that are not whole numbers.
     """
+    return carried_labels(correspondence, labels, origin=origin, speckles=speckles)[0]
+
+
+def carried_labels(
+    correspondence: Correspondence, labels: ArrayLike, *, origin: Side = "source", speckles: bool = False
+) -> tuple[NDArray[np.int64], str]:
+    """Do what `carry_labels` does, and return what was cleaned, as a sentence, too."""
     here, there = sides(correspondence, origin)
     numbers = np.asarray(labels)
     if not np.issubdtype(numbers.dtype, np.integer):
@@ -102,8 +119,11 @@ def carry_labels(correspondence: Correspondence, labels: ArrayLike, *, origin: S
         numbers = np.rint(numbers)
     given = _rows(numbers, here, np.int64)
     rows, vertex = here.from_file(given), map_from(correspondence, origin).vertex
-    carried = there.to_file(np.where(vertex >= 0, rows[np.maximum(vertex, 0)], -1), -1)
-    return _with_loose(correspondence, origin, carried, given)
+    carried, said = np.where(vertex >= 0, rows[np.maximum(vertex, 0)], -1), "labels as they were matched"
+    if not speckles and rows.ndim == 1:
+        clean = without_speckles(carried, there, rows, here)
+        carried, said = clean.labels, clean.sentence()
+    return _with_loose(correspondence, origin, there.to_file(carried, -1), given), said
 
 
 def carry_landmarks(

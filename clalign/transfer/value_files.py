@@ -126,7 +126,7 @@ def write_values(path: str | Path, values: NDArray, mesh: Mesh) -> None:
         whole = np.issubdtype(values.dtype, np.integer)
         np.savetxt(path, values, fmt="%d" if whole else "%.17g", delimiter="," if suffix == ".csv" else " ")
     elif suffix in MESH_SUFFIXES:
-        save_mesh(path, mesh.file_positions(), mesh.file_faces, _colours_of(values))
+        save_mesh(path, mesh.file_positions(), mesh.all_file_faces, _colours_of(values))
     else:
         known = ", ".join((".npy", *_TEXT_SUFFIXES, *MESH_SUFFIXES))
         raise InputError(f"{path}: unknown kind of file; give it one of the suffixes {known}")

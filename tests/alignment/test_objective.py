@@ -184,9 +184,9 @@ def test_an_evaluation_moves_only_its_point_and_its_gradient(
     pair = bind_small({"alignment.cycle": True}, kernels)
     fixed, x = started(pair, rng)
     moved: list[tuple[str, int]] = []
-    array, numpy = type(kernels).array, type(kernels).numpy
+    array, read = type(kernels).array, type(kernels).read
     monkeypatch.setattr(type(kernels), "array", lambda self, v: moved.append(("up", np.size(v))) or array(self, v))
-    monkeypatch.setattr(type(kernels), "numpy", lambda self, v: moved.append(("down", v.size)) or numpy(self, v))
+    monkeypatch.setattr(type(kernels), "read", lambda self, v: moved.append(("down", v[0].size)) or read(self, v))
     pair.problem.value_and_gradient(x, fixed)
     pair.problem.value_and_gradient(x, fixed)
     # What the first evaluation uploads for good (tables of the band) is not uploaded again.

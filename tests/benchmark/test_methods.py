@@ -12,7 +12,8 @@ import pytest
 from clalign.benchmark.layouts import animals
 from clalign.benchmark.methods import NAMED, AlignMethod, align_method, method_label, named_methods, split_list
 from clalign.errors import OptionError, ResultError
-from clalign.options import PRESETS, Options
+from clalign.options import Options
+from clalign.presets import PRESETS
 
 OURS = [name for name in NAMED if name != "pyfm"]
 

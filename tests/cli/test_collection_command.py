@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapes
 from collections_small import ARGUMENTS, CHANGES, write_shapes
 
 from clalign.benchmark import collections
@@ -15,7 +16,23 @@ from clalign.cli.main import main
 from clalign.collection.result import Collection
 from clalign.collection.store import Store
 from clalign.correspondence import Correspondence
+from clalign.mesh.writing import save_mesh
 from clalign.storage.files import size_text
+
+
+def test_a_piece_can_be_chosen_of_every_shape(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two bodies of like size in each file: refused with both named, and one of them matched where that is said."""
+    vertices, faces = shapes.bumpy_sphere(2)
+    (tmp_path / "shapes").mkdir()
+    for name in ("a", "b"):
+        both = np.concatenate([vertices, 1.1 * vertices + [5.0, 0.0, 0.0]])
+        save_mesh(tmp_path / "shapes" / f"{name}.ply", both, np.concatenate([faces, faces + len(vertices)]))
+    command = ["collection", str(tmp_path / "shapes"), "--workers", "1", "--no-report", "--quiet", *ARGUMENTS, "--out"]
+    assert main([*command, str(tmp_path / "refused")]) != 0
+    assert "--component 1" in capsys.readouterr().err
+    assert main([*command, str(tmp_path / "out"), "--component", "2"]) == 0
+    found = Collection.load(tmp_path / "out").maps("a", "b").target_of_source
+    np.testing.assert_array_equal(np.flatnonzero(found >= 0), np.arange(len(vertices)))
 
 
 def test_collection_writes_pages_and_whole_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

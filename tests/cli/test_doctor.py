@@ -27,6 +27,7 @@ DEVICE: dict[str, Any] = {
     "memory": 2**31,
     "largest_buffer": 2**30,
     "local_memory": 2**19,
+    "class": "cpu",
     "double": False,
 }
 GOOD = {"function": "product", "error": 1e-7, "tolerance": 1e-4, "seconds": 0.5, "agrees": True}
@@ -51,6 +52,7 @@ def test_this_machine_works() -> None:
     assert findings["advice"] == []
     assert findings["kernels"]["count"] == len(list((Path(__file__).parents[2] / "kernels").glob("*.cl")))
     for device in findings["devices"]:
+        assert device["checks"].keys() >= {"single", "class gpu" if device["class"] == "cpu" else "class cpu"}
         for answer in device["checks"].values():
             assert all(check["agrees"] for check in answer["checks"])
     report = "\n".join(doctor.report(findings))

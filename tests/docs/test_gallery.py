@@ -86,6 +86,7 @@ def test_documentation_builds_without_a_warning(tmp_path: Path) -> None:
 
     pages = tmp_path / "clalign" / "docs"
     shutil.copytree(DOCS, pages, ignore=shutil.ignore_patterns("_build", "generated", "images", "__pycache__"))
+    shutil.copytree(DOCS / "images", pages / "images")
     (pages / "figures" / "images").mkdir()
     for number in range(1, 10):
         write_png(pages / "figures" / "images" / f"figure-{number}.png", np.zeros((4, 4, 3), np.uint8))

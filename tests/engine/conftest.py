@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from clalign.engine.band import Band
 from clalign.engine.device import Device, DeviceArray
+from clalign.engine.device_class import ClassName
 from clalign.engine.kernels import Kernels
 from clalign.engine.reference import Reference
 
@@ -19,11 +21,21 @@ FLOOR = {"float32": 1e-6, "float64": 2e-15}
 Check = Callable[..., Any]
 
 
-@pytest.fixture(scope="session")
-def double_kernels(kernels: Kernels) -> Kernels:
-    if not kernels.device.facts.double:
-        pytest.skip(f"{kernels.device.facts.label} has no double precision")
-    return Kernels(Device(precision="double"))
+@functools.cache
+def backend_of(kind: ClassName, precision: str) -> Kernels:
+    """The kernels of a class, on whatever device the tests run on."""
+    device = Device(kind=kind)
+    if precision == "double":
+        if not device.facts.double:
+            pytest.skip(f"{device.facts.label} has no double precision")
+        device = Device(precision="double", kind=kind)
+    return Kernels(device)
+
+
+@pytest.fixture
+def kernels(opencl: None, request: pytest.FixtureRequest) -> Kernels:
+    """The kernels of CPUs, or of the class that a test asks for: ``parametrize("kernels", [...], indirect=True)``."""
+    return backend_of(getattr(request, "param", "cpu"), "single")
 
 
 @pytest.fixture
@@ -84,9 +96,13 @@ def check_against_twin(
     return results
 
 
-@pytest.fixture(params=["float32", "float64"])
-def check(request: pytest.FixtureRequest) -> Check:
-    """`check_against_twin` on the device in single and in double precision."""
-    fixture = "kernels" if request.param == "float32" else "double_kernels"
-    backend = request.getfixturevalue(fixture)
-    return lambda name, *arguments, **options: check_against_twin(backend, name, *arguments, **options)
+@pytest.fixture(params=["single", "double"])
+def check(opencl: None, request: pytest.FixtureRequest) -> Check:
+    """`check_against_twin` on the device, with the kernels of CPUs in either precision."""
+    return functools.partial(check_against_twin, backend_of("cpu", request.param))
+
+
+@pytest.fixture(params=["single", "double"])
+def check_gpu(opencl: None, request: pytest.FixtureRequest) -> Check:
+    """The same with the kernels of GPUs, which a CPU runs slowly: for small arrays."""
+    return functools.partial(check_against_twin, backend_of("gpu", request.param))

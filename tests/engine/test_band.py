@@ -7,7 +7,7 @@ import pytest
 
 from clalign.engine.band import Band
 from clalign.engine.kernels import Kernels
-from clalign.engine.kernels_products import panel_ranges, row_ranges
+from clalign.engine.launching import panel_ranges, row_ranges
 from clalign.engine.reference import Reference
 from clalign.errors import InputError
 
@@ -95,19 +95,26 @@ def test_ranges_cover_the_band_and_little_else(width):
         assert (first, last) == (columns[0], columns[-1] + 1)
 
 
+def reach(kernels: Kernels) -> int:
+    """How far from a narrow band its tiles reach: those of a work-group of a GPU have 128 rows and 64 columns."""
+    return 40 if kernels.device.constants.name == "cpu" else 128 + 64 + 3
+
+
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 def test_a_narrow_band_reads_only_its_tiles(kernels: Kernels):
     """NaN far from the band must not reach the product: those tiles are skipped, not multiplied by zero."""
     size = 320
     rows = np.arange(size)
     band = Band.from_limits(np.maximum(rows - 2, 0), np.minimum(rows + 3, size))
     matrix = Reference().band_expand(np.ones(band.count), band)
-    poisoned = np.where(np.abs(rows[:, None] - rows) > 40, np.nan, matrix)
+    poisoned = np.where(np.abs(rows[:, None] - rows) > reach(kernels), np.nan, matrix)
     result = kernels.numpy(kernels.banded_product(kernels.array(np.eye(size)), kernels.array(poisoned), right=band))
     np.testing.assert_array_equal(result, matrix)
     left = kernels.numpy(kernels.banded_product(kernels.array(poisoned), kernels.array(np.eye(size)), left=band))
     np.testing.assert_array_equal(left, matrix)
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 def test_what_is_not_kept_is_not_computed(kernels: Kernels, rng):
     """Tiles far from the band keep what was there."""
     size = 320
@@ -116,7 +123,7 @@ def test_what_is_not_kept_is_not_computed(kernels: Kernels, rng):
     a, b = (kernels.array(rng.normal(size=(size, size))) for _ in range(2))
     out = kernels.array(np.full((size, size), 7.0))
     kernels.banded_product(a, b, kept=band, out=out)
-    far = np.abs(rows[:, None] - rows) > 40
+    far = np.abs(rows[:, None] - rows) > reach(kernels)
     np.testing.assert_array_equal(kernels.numpy(out)[far], 7.0)
 
 

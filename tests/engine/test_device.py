@@ -19,9 +19,25 @@ from clalign.errors import DeviceError, MemoryBudgetError
 from clalign.options import EngineOptions
 
 CPU = DeviceFacts(
-    0, 0, "pthread-Some CPU", "Portable", "OpenCL 3.0", "3.0", "cpu", 2, 1 << 32, 1 << 30, 1 << 15, True, 32
+    0,
+    0,
+    "pthread-Some CPU",
+    "Portable",
+    "OpenCL 3.0",
+    "3.0",
+    "cpu",
+    2,
+    1 << 32,
+    1 << 30,
+    1 << 19,
+    4096,
+    False,
+    True,
+    32,
 )
-GPU = dataclasses.replace(CPU, platform=1, device=0, name="Radiant 9", platform_name="Vendor", kind="gpu", double=False)
+GPU = dataclasses.replace(
+    CPU, platform=1, device=0, name="Radiant 9", platform_name="Vendor", kind="gpu", own_local_memory=True, double=False
+)
 SECOND = dataclasses.replace(GPU, device=1, name="Radiant 10")
 
 
@@ -111,11 +127,20 @@ def test_double_precision_is_refused_where_it_is_missing():
         (dataclasses.replace(CPU, vector=64), device_class.CPU_LONG_VECTORS),
         (GPU, device_class.GPU),
         (dataclasses.replace(GPU, vector=64), device_class.GPU),
-        (dataclasses.replace(CPU, kind="accelerator"), device_class.GPU),
+        (dataclasses.replace(GPU, kind="accelerator"), device_class.GPU),
+        (dataclasses.replace(CPU, kind="accelerator"), device_class.CPU),
+        (dataclasses.replace(GPU, largest_group=128), device_class.CPU),
+        (dataclasses.replace(GPU, local_memory=1 << 14), device_class.CPU),
     ],
 )
 def test_a_device_belongs_to_a_class(facts, expected):
     assert device_class.device_class(facts) == expected
+
+
+def test_a_class_can_be_asked_for():
+    assert device_class.device_class(GPU, 8) == device_class.GPU_DOUBLE
+    assert device_class.device_class(GPU, 4, "cpu") == device_class.CPU
+    assert device_class.device_class(CPU, 4, "gpu").large == device_class.GPU.large
 
 
 @pytest.mark.parametrize(("needed", "left"), [((1 << 30) + 1, 1 << 32), (1000, 999)])
@@ -166,6 +191,7 @@ def test_kernels_are_built_once(kernels: Kernels, monkeypatch):
     assert kernels.device.kernel("reduce", "finish_rows") is first
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 def test_with_out_given_nothing_is_allocated_built_or_waited_for(kernels: Kernels, rng, monkeypatch):
     c, psi = kernels.array(rng.normal(size=(200, 12))), kernels.array(rng.normal(size=(150, 12)))
     w, u, dz = kernels.array(rng.random(150)), kernels.array(rng.normal(size=(150, 9))), kernels.zeros((200, 9))

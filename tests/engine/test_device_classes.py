@@ -1,6 +1,6 @@
 """Every class of devices, on whatever device the tests run on.
 
-The launch shape of a GPU (work-groups of 64, one tile a work-item), and vectors of 32 and 64 bytes.
+Work-groups that share local memory, and vectors of 32 and 64 bytes.
 """
 
 from __future__ import annotations
@@ -11,18 +11,15 @@ import numpy as np
 import pytest
 
 from clalign.engine.device import Device
-from clalign.engine.device_class import CPU, CPU_LONG_VECTORS, GPU, DeviceClass
+from clalign.engine.device_class import CPU, CPU_LONG_VECTORS, DeviceClass
 from clalign.engine.kernels import Kernels
-from clalign.engine.kernels_arrays import ceil_div
-from clalign.engine.kernels_products import equal_parts
+from clalign.engine.launching import ceil_div, equal_parts
 from clalign.engine.reference import Reference
 
 
-@pytest.fixture(scope="module", params=[GPU, CPU, CPU_LONG_VECTORS], ids=["gpu", "cpu", "cpu, long vectors"])
+@pytest.fixture(scope="module", params=[CPU, CPU_LONG_VECTORS], ids=["cpu", "cpu, long vectors"])
 def wide(opencl: None, request: pytest.FixtureRequest) -> Kernels:
-    kernels = Kernels(Device())
-    kernels.device.constants = request.param
-    return kernels
+    return Kernels(Device(kind=request.param))
 
 
 def agree(wide: Kernels, name: str, *arguments: np.ndarray | float | None) -> None:
@@ -77,10 +74,11 @@ def test_no_part_is_empty(length: int, most: int):
 
 @pytest.mark.usefixtures("opencl")
 def test_a_gram_matrix_is_the_sum_of_parts_that_were_all_written(rng):
-    """614,401 rows in 1,024 parts of 601 would leave the last one empty."""
-    kernels = Kernels(Device())
-    kernels.device.constants, kernels.device.facts = GPU, replace(kernels.device.facts, units=2)
-    values = rng.random((614_401, 1)).astype(np.float32)
+    """10,401 rows in 36 parts of 289 would leave the last one empty if they were shared out evenly."""
+    device = Device(kind="gpu")
+    device.facts = replace(device.facts, units=64)
+    kernels = Kernels(device)
+    values = rng.random((10_401, 1)).astype(np.float32)
     a, w = kernels.array(values), kernels.array(np.ones(len(values)))
     partial = kernels.device.scratch("splits", 1024)
     kernels.device.copy(kernels.array(np.full(partial.size, np.nan)), partial)
@@ -89,10 +87,11 @@ def test_a_gram_matrix_is_the_sum_of_parts_that_were_all_written(rng):
 
 
 @pytest.mark.parametrize("constants", [CPU, CPU_LONG_VECTORS], ids=["4 doubles", "8 doubles"])
-def test_sums_of_vectors_of_every_length(double_kernels, rng, constants: DeviceClass):
+def test_sums_of_vectors_of_every_length(kernels: Kernels, rng, constants: DeviceClass):
     """Vectors of doubles; the others here are of 8 and 16 floats."""
-    kernels = Kernels(Device(precision="double"))
-    kernels.device.constants = constants
+    if not kernels.device.facts.double:
+        pytest.skip(f"{kernels.device.facts.label} has no double precision")
+    kernels = Kernels(Device(precision="double", kind=constants))
     a = rng.normal(size=(37, 29))
     np.testing.assert_allclose(
         kernels.numpy(kernels.half_squares(kernels.array(a))), 0.5 * np.sum(a * a, axis=1), rtol=1e-14

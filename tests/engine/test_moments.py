@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from clalign.engine.cpu_soft_maps import fitted_tile_rows
 from clalign.engine.device_class import CPU, CPU_LONG_VECTORS
-from clalign.engine.kernels_soft import fitted_tile_rows, pair_runs
+from clalign.engine.gpu_soft_maps import pair_blocks
+from clalign.engine.launching import pair_runs
 from clalign.engine.reference import Reference, pair_count, pair_factor
 
 SIZES = [(1, 1, 1), (97, 13, 7), (257, 40, 50), (1025, 33, 25)]
@@ -42,9 +44,21 @@ def test_gradient_twin_is_the_adjoint(reference: Reference, rng):
 
 @pytest.mark.parametrize("k", [1, 2, 8, 13, 40])
 def test_runs_cover_every_pair(k):
-    covered = {(a, b) for a, start in pair_runs(k, 8).reshape(-1, 2) for b in range(start, min(start + 8, k))}
+    covered = {(a, b) for a, start in pair_runs(k, 8) for b in range(start, min(start + 8, k))}
     assert covered == {(a, b) for a in range(k) for b in range(a, k)}
     assert pair_factor(k, np.float64).sum() == k * k
+
+
+@pytest.mark.parametrize("k", [1, 8, 13, 40])
+def test_blocks_cover_every_pair_once(k):
+    covered = [
+        (a, b)
+        for first_a, first_b in pair_blocks(k, 8)
+        for a in range(first_a, first_a + 8)
+        for b in range(first_b, first_b + 8)
+        if a <= b < k
+    ]
+    assert sorted(covered) == [(a, b) for a in range(k) for b in range(a, k)]
 
 
 def test_tiles_waste_little():

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clalign.engine import kernels_search
+from clalign.engine import cpu_searches
+from clalign.engine.device import Device
 from clalign.engine.kernels import Kernels
 from clalign.engine.reference import Reference
 
@@ -53,6 +54,7 @@ def test_finds_every_point_itself(kernels: Kernels, rng):
     np.testing.assert_allclose(kernels.numpy(score), penalty[order], rtol=1e-4)
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 @pytest.mark.parametrize("operation", ["nearest", "soft_map_argmax"])
 def test_ties_go_to_the_lowest_index(kernels: Kernels, rng, operation):
     points = np.repeat(rng.normal(size=(1, 8)), 100, axis=0)
@@ -62,6 +64,7 @@ def test_ties_go_to_the_lowest_index(kernels: Kernels, rng, operation):
     np.testing.assert_array_equal(index, 37)
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 @pytest.mark.parametrize("count", [5, 33])
 @pytest.mark.parametrize("operation", ["nearest", "soft_map_argmax"])
 def test_all_scores_zero_gives_the_first_point(kernels: Kernels, operation, count):
@@ -70,6 +73,7 @@ def test_all_scores_zero_gives_the_first_point(kernels: Kernels, operation, coun
     np.testing.assert_array_equal(score, 0)
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 def test_negative_scores_still_name_a_point(kernels: Kernels, rng):
     """Padding beyond the last point must never win, however bad the true scores are."""
     points = rng.normal(size=(5, 3))
@@ -105,22 +109,24 @@ def far_from_the_origin(rng, m, p, depth):
     return queries + 30.0, points + 30.0
 
 
-@pytest.mark.parametrize("backend", ["kernels", "double_kernels"])
+@pytest.mark.usefixtures("opencl")
+@pytest.mark.parametrize("precision", ["single", "double"])
 @pytest.mark.parametrize("make", [close_pairs, decided_late, tail_heavy, far_from_the_origin])
 @pytest.mark.parametrize("with_penalty", [True, False])
 @pytest.mark.parametrize("depth", [49, 97, 352])
-def test_giving_up_tiles_changes_no_bit(request, monkeypatch, rng, backend, make, with_penalty, depth):
-    on_device = request.getfixturevalue(backend)
+def test_giving_up_tiles_changes_no_bit(monkeypatch, rng, precision, make, with_penalty, depth):
+    on_device = Kernels(Device(precision=precision, kind="cpu"))
+    launcher = on_device._launcher
     # More rows than one work-item takes, be it with 8 or with 32 groups of them.
     queries, points = make(rng, 203, 1337, depth)
     arrays = [on_device.array(queries), on_device.array(points)]
     if with_penalty:
         arrays.append(on_device.array(0.5 * np.sum(points**2, axis=1)))
     found = []
-    for groups in sorted(set(on_device.device.constants.nearest_groups)):
-        constants = replace(on_device.device.constants, nearest_groups=(groups, groups))
+    for groups in sorted(set(launcher.constants.nearest_groups)):
+        constants = replace(launcher.constants, nearest_groups=(groups, groups))
         with monkeypatch.context() as patch:
-            patch.setattr(on_device.device, "constants", constants)
+            patch.setattr(launcher, "constants", constants)
             found.append([on_device.numpy(part) for part in on_device.nearest(*arrays)])
     # Good guesses, which are the result, bad ones, and none.
     guesses = found[0][0].copy()
@@ -128,7 +134,7 @@ def test_giving_up_tiles_changes_no_bit(request, monkeypatch, rng, backend, make
     guesses[2::3] = -1
     for guess in (found[0][0], guesses):
         found.append([on_device.numpy(part) for part in on_device.nearest(*arrays, guess=on_device.array(guess))])
-    monkeypatch.setattr(kernels_search, "CHECK_STEPS", depth)
+    monkeypatch.setattr(cpu_searches, "CHECK_STEPS", depth)
     full = [on_device.numpy(part) for part in on_device.nearest(*arrays)]
     for early in found:
         for part, whole in zip(early, full, strict=True):

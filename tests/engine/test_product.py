@@ -37,6 +37,7 @@ def test_accumulates_into_out(kernels: Kernels, rng):
     np.testing.assert_allclose(kernels.numpy(out), c + 2 * a @ b, rtol=0, atol=2e-6 * np.abs(a @ b).max())
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 def test_writes_only_its_own_matrix(kernels: Kernels, rng):
     """Rows and columns beyond the last full tile must not spill into what follows in memory."""
     a, b = rng.normal(size=(7, 30)), rng.normal(size=(30, 17))

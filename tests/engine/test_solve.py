@@ -23,6 +23,7 @@ def test_undoes_the_product(kernels: Kernels, rng):
     np.testing.assert_allclose(kernels.numpy(solved), x, atol=5e-5)
 
 
+@pytest.mark.parametrize("kernels", ["cpu", "gpu"], indirect=True)
 def test_an_indefinite_matrix_gives_nan(kernels: Kernels):
     gram = np.diag([1.0, -1.0, 2.0])
     solved = kernels.numpy(kernels.solve_right(kernels.array(gram), kernels.array(np.ones((4, 3))), 0.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,11 @@ from prepared import MIDDLE
 
 from clalign.correspondence import Correspondence
 from clalign.errors import ClalignWarning
+from clalign.maps.point_maps import PointMaps
 from clalign.matching.pair import match
+from clalign.mesh.landmarks import landmarks_of
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
+from clalign.refinement.landmarks import disagreement, kept_exactly
 
 OPTIONS = MIDDLE.replace({"geodesics.search_samples": 150, "alignment.outer_iterations": 1})
 
@@ -92,3 +96,22 @@ def test_landmarks_with_a_tolerance_are_not_forced(bodies: tuple[Mesh, Mesh, NDA
     plain = match(source, target, OPTIONS)
     assert mean_error(result, new_of_old) <= mean_error(plain, new_of_old) + 1e-3
     assert all(each["used"] for each in result.landmarks)
+
+
+def test_a_landmark_that_one_direction_contradicts_is_left_aside(
+    ellipsoids: tuple[Mesh, Mesh, NDArray[np.int64]],
+) -> None:
+    """What the backward map knows better is not overwritten."""
+    source, target, truth = ellipsoids
+    backward = np.argsort(truth)
+    marks = landmarks_of([[3, int(truth[3])], [50, int(truth[50])]], source, target)
+    far = int(np.linalg.norm(source.vertices - source.vertices[50], axis=1).argmax())
+    backward[truth[50]] = far
+    maps = PointMaps(truth, backward)
+    shapes_of = (SimpleNamespace(mesh=source), SimpleNamespace(mesh=target))
+    off = disagreement(*shapes_of, maps, marks)  # type: ignore[arg-type]
+    assert off[0] < 1e-9
+    assert off[1] > 0.5
+    kept = kept_exactly(maps, marks, off < 0.1)
+    assert kept.source_of_target[truth[50]] == far
+    assert kept.source_of_target[truth[3]] == 3

@@ -75,8 +75,8 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
         starting_map(RIGID, source.mesh, target.mesh, options.rules.start)
         found = required(state.found)
         in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), 1.0, options.rules)
-    # Judged in the result, and read by collections only.
-    elsewhere = {"JudgementRules", "CollectionRules", "PartRules", "Rules"}
+    # Judged or named in the result, and read by collections, parts or registrations only.
+    elsewhere = {"JudgementRules", "CollectionRules", "PartRules", "RegistrationRules", "RelationRules", "Rules"}
     expected = {
         f"{each.__name__}.{field.name}"
         for each in CLASSES

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapes
+from assembled import assembled, truth
 from numpy.typing import NDArray
 from prepared import MIDDLE
 from scipy.spatial.transform import Rotation
@@ -125,3 +126,15 @@ def test_starts_that_do_not_fit_are_named(bodies: Bodies, tmp_path: Path) -> Non
     ]:
         with pytest.raises((InputError, ResultError), match=words):
             starting_map(start, source, target, StartRules())
+
+
+def test_a_match_known_at_another_copy_of_a_joined_vertex_counts() -> None:
+    """A seam gives one place several numbers in the file, of which a user may know any."""
+    file, other = assembled(), assembled(0.3, seed=4)
+    source, target = (mesh_from_arrays(each.vertices, each.faces, name) for each, name in ((file, "a"), (other, "b")))
+    whole = truth(file, other)
+    every = starting_map(whole, source, target, StartRules())
+    for side in (0, 1):
+        start = whole.copy()
+        start[file.seam[:, side]] = -1
+        np.testing.assert_array_equal(starting_map(start, source, target, StartRules()), every)

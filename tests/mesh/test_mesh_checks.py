@@ -13,9 +13,11 @@ import shapes
 from malformed import Malformed
 
 from clalign.errors import MeshError
-from clalign.mesh import topology
+from clalign.mesh import checks, gluing, surface_checks, topology
 from clalign.mesh.checks import diagnose
-from clalign.mesh.defects import Severity
+from clalign.mesh.defects import Severity, Surface
+from clalign.mesh.examination import Examination
+from clalign.mesh.gluing import glued
 from clalign.mesh.mesh import load_mesh, mesh_from_arrays
 from clalign.mesh.repair import repair
 
@@ -307,3 +309,21 @@ def test_the_area_is_one_however_thin_the_surface_is(length: float) -> None:
     np.testing.assert_allclose(
         mesh.file_vertices(), vertices * [length, length, 1.0] + [0.0, 3.0 * length, 5.0], atol=1e-9 * length
     )
+
+
+def test_what_no_number_of_rounds_mends_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No mesh is known that the rounds are too few for, so there are none of them here."""
+    monkeypatch.setattr(gluing, "_PASSES", 0)
+    monkeypatch.setattr(checks, "_ROUNDS", 0)
+    cases = {case.name: case for case in CASES}
+    fin = cases["fin"]
+    assert glued(Surface.whole(fin.vertices, fin.faces)).left == 3
+    exam = Examination(Surface.whole(fin.vertices, fin.faces))
+    surface_checks.check_manifold(exam)
+    assert exam.refused
+    assert "of several sheets could not be parted" in exam.defects[-1].problem
+    bare = cases["vertex without area"]
+    exam = Examination(Surface.whole(bare.vertices, bare.faces))
+    checks._put_right(exam)
+    assert exam.refused
+    assert "without area again" in exam.defects[-1].problem

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import warnings
 from functools import cache
@@ -25,6 +26,7 @@ from clalign.maps.file_maps import VertexStatus
 from clalign.matching.parts import roles
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
 from clalign.presentation.picture import pair_colours, pair_views
+from clalign.rules import parts
 from clalign.transfer.colours import UNMATCHED
 
 LENGTHS = (1.4, 1.2, 1.6, 1.0, 1.8)
@@ -54,10 +56,9 @@ def enlarged(mesh: Mesh, factor: float) -> Mesh:
 
 
 @cache
-def found(side: str = "source", factor: float = 1.0) -> Correspondence:
-    part = body().part if factor == 1.0 else enlarged(body().part, factor)
-    pair = (part, body().whole) if side == "source" else (body().whole, part)
-    return quietly(*pair)
+def found(side: str = "source") -> Correspondence:
+    part, whole, _ = body()
+    return quietly(part, whole) if side == "source" else quietly(whole, part)
 
 
 def quietly(source: Mesh, target: Mesh, *args: Any, **named: Any) -> Correspondence:
@@ -131,8 +132,29 @@ def test_source_and_target_may_change_places() -> None:
     assert np.all(other.distortion[other.target_of_source[body().whole.file_index] < 0] == 0)
 
 
-def test_a_part_in_another_unit_is_found_with_its_scale() -> None:
-    result = found("source", 25.4)
+def watch(monkeypatch: pytest.MonkeyPatch, classes: list[type]) -> set[str]:
+    """Return a set that gets "Class.field" of every rule that is read from now on."""
+    seen: set[str] = set()
+    for each in classes:
+        fields = {field.name for field in dataclasses.fields(each)}
+
+        def watched(self: Any, name: str, kind: type = each, fields: set[str] = fields) -> Any:
+            if name in fields:
+                seen.add(f"{kind.__name__}.{name}")
+            return object.__getattribute__(self, name)
+
+        monkeypatch.setattr(each, "__getattribute__", watched)
+    return seen
+
+
+def test_a_part_in_another_unit_is_found_with_its_scale_and_reads_every_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    classes = [each for each in vars(parts).values() if isinstance(each, type) and dataclasses.is_dataclass(each)]
+    read = watch(monkeypatch, classes)
+    part, whole, _ = body()
+    result = quietly(enlarged(part, 25.4), whole)
+    roles(part, part, Options())
+    monkeypatch.undo()
+    assert {f"{each.__name__}.{field.name}" for each in classes for field in dataclasses.fields(each)} - read == set()
     assert result.part is not None
     assert result.part.scale == pytest.approx(1 / 25.4, rel=0.1)
     assert errors(result.target_of_source).mean() < 0.02
@@ -211,6 +233,6 @@ def test_the_command_line_matches_a_part(tmp_path: Path, capsys: pytest.CaptureF
     assert facts["part"]["scale"] == 1.0
     assert facts["part"]["asked"] is True
     assert facts["options"]["partial"] == {"part": "source", "scale": "same"}
-    assert json.loads((out / "evaluation.json").read_text())["sqrt_area"]["mean"] < 0.015
+    assert json.loads((out / "evaluation.json").read_text())["per_sqrt_area"]["mean"] < 0.015
     assert (out / "match.png").stat().st_size > 10_000
     assert (out / "report.html").stat().st_size > 100_000

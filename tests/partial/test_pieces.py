@@ -11,7 +11,6 @@ import shapes
 from numpy.typing import NDArray
 
 from clalign.mesh.mesh import Mesh, mesh_from_arrays
-from clalign.part_rules import PartRules, PartSearchRules, PartStart
 from clalign.partial.coverage import covered
 from clalign.partial.descriptors import ball_profiles, curvature_fields, look_costs
 from clalign.partial.extent import openness, suspected_part
@@ -21,6 +20,7 @@ from clalign.partial.intervals import Intervals, misfits, tolerances
 from clalign.partial.search import Assignment, search
 from clalign.partial.surface import SampledSurface, part_surface, whole_surface
 from clalign.partial.whole import sample_bounds
+from clalign.rules.parts import PartRules, PartSearchRules, PartStart
 
 FEW = PartRules(samples=dataclasses.replace(PartRules().samples, places=150, functions=60, samples=25))
 LENGTHS = (1.4, 1.2, 1.6, 1.0, 1.8)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from clalign.collection.result import Collection
 from clalign.collection.store import PairMaps, PairRow, ShapeRow, Store
-from clalign.presentation.camera import front_view
+from clalign.mesh.front import front_view
 from clalign.presentation.collection_page import page as collection_page
 from clalign.presentation.collection_page import write_collection_page
 from clalign.presentation.collection_page.page import MEASURES

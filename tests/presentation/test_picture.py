@@ -8,8 +8,9 @@ import shapes
 from scipy.spatial.transform import Rotation
 
 from clalign.correspondence import Correspondence
+from clalign.mesh.front import front_view
 from clalign.mesh.mesh import mesh_from_arrays
-from clalign.presentation.camera import facing_rotation, front_view
+from clalign.presentation.camera import facing_rotation
 from clalign.presentation.notebook import notebook_html
 from clalign.presentation.picture import match_image, save_match_picture
 

@@ -3,18 +3,23 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shlex
 import shutil
 import zlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from clalign.cli.main import build_parser
+from clalign.cli.match import options_from
 from clalign.correspondence import Correspondence
 from clalign.evaluation.errors import evaluate
 from clalign.evaluation.truth import Truth
+from clalign.mesh.landmarks import landmarks_of
 from clalign.presentation.report import write_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
@@ -211,6 +216,94 @@ def test_page_draws_and_answers_a_click(opened: Callable[..., Any], small: Corre
     assert source == small.source_of_target[target]
     page.keyboard.press("Escape")
     assert page.inner_text("#readout") == "No point chosen."
+
+
+def _click_vertex(page: Any, side: str, vertex: int) -> int:
+    """Click where a vertex of the page's arrays is drawn, from the side it faces; the file's number of what was hit."""
+    place = page.evaluate(
+        """([side, vertex]) => {
+          const view = views[side];
+          const normal = new THREE.Vector3().fromBufferAttribute(view.surface.geometry.getAttribute("normal"), vertex);
+          const point = new THREE.Vector3().fromArray(view.positions, 3 * vertex);
+          view.camera.position.copy(point).addScaledVector(normal, 3);
+          view.controls.target.copy(point);
+          view.controls.update();
+          view.camera.updateMatrixWorld();
+          const seen = point.clone().project(view.camera);
+          return { x: ((seen.x + 1) / 2) * view.canvas.clientWidth, y: ((1 - seen.y) / 2) * view.canvas.clientHeight };
+        }""",
+        [side, vertex],
+    )
+    page.click(f"#canvas-{side}", position=place)
+    return int(page.evaluate("([side, vertex]) => arrayValues(`${side}-numbers`)[vertex]", [side, vertex]))
+
+
+def test_landmarks_are_clicked_saved_and_understood(
+    opened: Callable[..., Any], small: Correspondence, small_page: Path, tmp_path: Path
+) -> None:
+    page = opened(small_page, width=1100, height=900)
+    page.uncheck("#together")
+    assert not page.locator("#landmark-use").is_visible()
+    page.check("#marking")
+    clicked = []
+    for source, target in ((5, 40), (300, 200), (77, 500)):
+        # The second pair begins on the target.
+        order = [("source", source), ("target", target)]
+        numbers = {
+            side: _click_vertex(page, side, vertex) for side, vertex in (order if source != 300 else order[::-1])
+        }
+        clicked.append([numbers["source"], numbers["target"]])
+    _click_vertex(page, "source", 9)
+    assert "same point on the target" in page.inner_text("#landmark-state")
+    page.keyboard.press("Escape")
+    assert page.inner_text("#landmark-state") == "Click a point on either shape."
+    page.click("button[aria-label='Remove p3']")
+    rows = page.locator("#landmark-list tbody tr")
+    assert [rows.nth(i).locator("td").nth(k).inner_text() for i in range(2) for k in (1, 2)] == [
+        str(number) for pair in clicked[:2] for number in pair
+    ]
+    with page.expect_download() as download:
+        page.click("#landmark-save")
+    download.value.save_as(tmp_path / "landmarks.csv")
+    read = landmarks_of(tmp_path / "landmarks.csv", small.source, small.target)
+    assert read.names == ("p1", "p2")
+    np.testing.assert_array_equal(small.source.file_index[read.source], [pair[0] for pair in clicked[:2]])
+    np.testing.assert_array_equal(small.target.file_index[read.target], [pair[1] for pair in clicked[:2]])
+    words = shlex.split(page.inner_text("#landmark-command code"))
+    args = build_parser().parse_args(words[1:])
+    assert args.landmarks == ["landmarks.csv"]
+    assert Path(args.out) == small_page.parent.with_name(small_page.parent.name + "-landmarks")
+    page.click("#landmark-command button")
+    assert page.inner_text("#landmark-command button") in ("Copied", "Selected")
+    page.uncheck("#marking")
+    _click_vertex(page, "source", 5)
+    assert int(page.get_attribute("#readout", "data-source")) == clicked[0][0]
+
+
+def test_this_one_writes_the_command_that_takes_an_alternative(
+    opened: Callable[..., Any], small: Correspondence, tmp_path: Path
+) -> None:
+    words = "mirror image: left and right are exchanged"
+    other = replace(small.alternatives[0], relation=words)
+    shown = replace(
+        small,
+        source=replace(small.source, path=str(tmp_path / "a body's scan.ply")),
+        options=small.options.replace({"seed": 5, "search.alternatives": 1}),
+        alternatives=(other,),
+        equally_good=({"relation": words, "reversing": True, "order": 2, "moved": 0.9, "alternative": 1},),
+    )
+    folder = tmp_path / "result"
+    folder.mkdir()
+    write_report(shown, folder / "report.html")
+    page = opened(folder / "report.html", width=1100, height=900)
+    assert page.inner_text("#equals") == f"{words} (alternative 1)"
+    page.click("button[aria-label='Take alternative 1']")
+    commands = [shlex.split(text) for text in page.locator("#way-to-map code").all_inner_texts()]
+    args = build_parser().parse_args(commands[0][1:])
+    assert (args.source, args.start, args.start_map) == (tmp_path / "a body's scan.ply", str(folder), 1)
+    assert args.orientation == "reversing"
+    assert options_from(args) == small.options.replace({"seed": 5, "search.orientation": "reversing"})
+    assert build_parser().parse_args(commands[1][1:]).map == 1
 
 
 def test_hover_shows_the_match_and_forgets_it(

@@ -8,6 +8,7 @@ from clalign.cli.bench.accuracy import add_parser as add_accuracy
 from clalign.cli.bench.accuracy import add_study
 from clalign.cli.bench.collection import add_parser as add_collection
 from clalign.cli.bench.confidence import add_parser as add_confidence
+from clalign.cli.bench.register import add_parser as add_register
 from clalign.cli.bench.signs import add_parser as add_signs
 from clalign.cli.bench.speed import add_forecast, add_kernels, add_pair, add_scale
 
@@ -23,6 +24,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         add_study,
         add_confidence,
         add_signs,
+        add_register,
         add_collection,
         add_kernels,
         add_pair,

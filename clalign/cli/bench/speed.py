@@ -32,6 +32,9 @@ def add_kernels(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
     parser.add_argument("--quick", action="store_true", help="small sizes only: half a minute instead of several")
     parser.add_argument("--parts", metavar="NAMES", default=",".join(PARTS), help="comma-separated (default: all)")
     parser.add_argument("--device", metavar="SPEC", default="", help="as of 'clalign match'")
+    parser.add_argument(
+        "--device-class", choices=["auto", "cpu", "gpu"], default="auto", help="kernels of CPUs or of GPUs"
+    )
     parser.add_argument("--repeat", metavar="N", type=int, default=5, help="the best of N counts (default: 5)")
     parser.add_argument("--out", metavar="FILE", type=Path, help="write the JSON document to FILE")
     add_output_arguments(parser, "kernels")
@@ -53,7 +56,7 @@ def run_kernels(args: argparse.Namespace) -> int:
     if args.repeat < 1:
         raise OptionError(f"--repeat must be at least 1, got {args.repeat}")
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
-    machine, kernels = this_machine(), Kernels(Device(args.device))
+    machine, kernels = this_machine(), Kernels(Device(args.device, kind=args.device_class))
     tables: dict[str, str] = {}
     document: dict[str, Any] = {"device": kernels.device.describe()}
     if "kernels" in parts:

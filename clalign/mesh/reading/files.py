@@ -77,7 +77,7 @@ def read_mesh_file(path: str | os.PathLike[str]) -> FileMesh:
     if os.path.exists(path) and not os.path.isfile(path):
         raise MeshError(f"{path}: is not a regular file; save the mesh to a file first")
     reader = READERS.get(mesh_suffix(path)) or _reader_by_content(path)
-    content = _file_content(path)
+    content = file_content(path)
     if not content.strip():
         raise MeshError(f"{path}: the file is empty; export the mesh again")
     try:
@@ -103,7 +103,7 @@ def _reader_by_content(path: Path) -> Reader:
         It is no FreeSurfer surface.
     """
     known = os.path.exists(path)
-    if known and _file_content(path)[:3] in (FREESURFER_MAGIC, *OTHER_MAGICS):
+    if known and file_content(path)[:3] in (FREESURFER_MAGIC, *OTHER_MAGICS):
         return read_freesurfer
     raise MeshError(
         f"{path}: {'unknown mesh format' if known else 'no such file, and not a mesh format'} "
@@ -112,7 +112,7 @@ def _reader_by_content(path: Path) -> Reader:
     )
 
 
-def _file_content(path: Path) -> bytes:
+def file_content(path: Path) -> bytes:
     """Read all bytes, unpacked, with the operating system's refusals put into words."""
     try:
         content = path.read_bytes()

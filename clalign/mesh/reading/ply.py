@@ -74,7 +74,7 @@ class Columns:
 
 def read_ply(content: bytes, folder: Path) -> FileMesh:
     """Read positions, normals if there are any, and faces or triangle strips."""
-    order, elements, start = _header(content)
+    order, elements, start = ply_header(content)
     body = content[start:]
     counts = {element.name: element.count for element in elements}
     promise = f"its header promises {counts['vertex']} vertices and {counts.get('face', 0)} faces"
@@ -113,7 +113,7 @@ def _faces(tables: dict[str, Columns]) -> NDArray[np.int64]:
     return triangles[(a != b) & (b != c) & (c != a)]
 
 
-def _header(content: bytes) -> tuple[str, list[Element], int]:
+def ply_header(content: bytes) -> tuple[str, list[Element], int]:
     """Return the byte order ("" for text), the elements, and where the body begins."""
     if not content.startswith(b"ply"):
         raise FormatError("has no PLY header, so it is no PLY file; is the suffix right? Otherwise export it again")
@@ -240,7 +240,7 @@ def _binary_tables(body: bytes, elements: list[Element], order: str, promise: st
     at = 0
     for element in elements:
         try:
-            offsets, sizes, at = _offsets(body, at, element, order)
+            offsets, sizes, at = element_offsets(body, at, element, order)
         except (struct.error, IndexError) as error:
             raise FormatError(
                 f"{promise}, but the file ends before the last {element.name}; the file is truncated or its counts "
@@ -281,7 +281,9 @@ def _gathered(data: NDArray[np.uint8], starts: NDArray[np.int64], dtype: str) ->
     return data[starts[:, None] + np.arange(kind.itemsize)].view(kind)[:, 0]
 
 
-def _offsets(body: bytes, at: int, element: Element, order: str) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+def element_offsets(
+    body: bytes, at: int, element: Element, order: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
     """Where every property of every row begins (a list: its first number), lengths of lists, and the element's end.
 
     Returns

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from clalign.collection.result import Collection
 from clalign.errors import InputError
+from clalign.mesh.front import front_view
 from clalign.mesh.mesh import Mesh, load_mesh
-from clalign.presentation.camera import facing_rotation, front_view
+from clalign.presentation.camera import facing_rotation
 from clalign.presentation.picture import draw_row
 from clalign.transfer.colours import UNMATCHED, position_colours
 from clalign.transfer.surface_map import vertex_map

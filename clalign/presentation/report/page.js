@@ -190,6 +190,7 @@ function chooseMap(rank) {
   shown.map = rank;
   byId("map").value = String(rank);
   if (shown.pinned) pin(shown.pinned.from, shown.pinned[shown.pinned.from]);
+  showLandmarks();
   paint();
 }
 
@@ -244,8 +245,8 @@ function openViews() {
     const view = new ShapeView(byId(`canvas-${side}`), side, frame);
     view.turned = () => { if (byId("together").checked) views[other(side)]?.follow(view.pose); };
     view.hovered = (vertex) => hover(side, vertex);
-    view.clicked = (vertex) => pin(side, vertex);
-    view.cleared = () => pin(side, -1);
+    view.clicked = (vertex) => (landmarks.active ? markLandmark(side, vertex) : pin(side, vertex));
+    view.cleared = () => (landmarks.active ? forgetOpenLandmark() : pin(side, -1));
     views[side] = view;
     view.canvas.setAttribute("aria-label", `${side} ${facts[side].name}`);
     byId(`caption-${side}`).textContent = `${facts[side].name} · ${grouped(facts[side].vertices)} vertices`;
@@ -282,6 +283,7 @@ async function start() {
     return;
   }
   connectControls();
+  connectLandmarks();
   chooseFunction(2);
   document.documentElement.dataset.ready = "yes";
 }

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Correspondence
 from clalign.evaluation.errors import Evaluation
-from clalign.presentation.camera import Up
+from clalign.mesh.front import Up
 from clalign.presentation.html_page import write_page
 from clalign.presentation.picture import match_png
 from clalign.presentation.report.payload import build_payload

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,18 @@ from numpy.typing import NDArray
 
 from clalign.correspondence import Alternative, Correspondence, finite_or_none
 from clalign.evaluation.errors import Evaluation
-from clalign.presentation.camera import Up
+from clalign.mesh.front import Up
+from clalign.option_values import leaves
+from clalign.options import Options
 from clalign.presentation.picture import pair_views
 from clalign.transfer.colours import RAMPS, UNMATCHED, position_colours
 from clalign.transfer.surface_map import SurfaceMap, surface_map
 
 _FUNCTION_BYTES = 8_000_000
 _MOST_FUNCTIONS = 120
-_PROVENANCE = ("device", "confidence", "orientation", "losses", "timings", "warnings", "options", "versions")
+_PROVENANCE = (
+    *("device", "confidence", "orientation", "losses", "timings", "warnings", "options", "versions", "equally_good"),
+)
 
 
 def build_payload(
@@ -45,6 +50,7 @@ def build_payload(
         shapes[side] = {
             "name": mesh.name,
             "file": Path(mesh.path).name if mesh.path else None,
+            "path": mesh.path and str(Path(mesh.path).absolute()),
             "vertices": mesh.n_vertices,
             "faces": mesh.n_faces,
             "scale": finite_or_none(mesh.scale),
@@ -67,9 +73,18 @@ def build_payload(
         "unmatched": (UNMATCHED * 255).round().astype(int).tolist(),
         "history": _history(correspondence),
         "evaluation": None if evaluation is None else _evaluation(evaluation),
+        "changed": changed_options(correspondence.options),
         **{name: provenance[name] for name in _PROVENANCE},
     }
     return facts, arrays
+
+
+def changed_options(options: Options) -> list[str]:
+    """Return what follows ``--set`` on a command line that matches with the same options, orientation apart."""
+    # Schedules are records, which have no text; no preset changes them.
+    own = ("search.orientation", "search.alternatives", "rules.refinement.schedules")
+    values = {name: attrgetter(name) for name, _ in leaves(options) if name not in own}
+    return [f"{name}={read(options)}" for name, read in values.items() if read(options) != read(Options())]
 
 
 def _add_maps(correspondence: Correspondence, arrays: dict[str, NDArray[np.generic]]) -> list[dict[str, Any]]:
@@ -87,6 +102,7 @@ def _add_maps(correspondence: Correspondence, arrays: dict[str, NDArray[np.gener
                 "orientation": finite_or_none(maps.orientation),
                 "score": finite_or_none(maps.score),
                 "distance": finite_or_none(maps.distance) if isinstance(maps, Alternative) else 0.0,
+                "relation": maps.relation if isinstance(maps, Alternative) else "",
             }
         )
     return described

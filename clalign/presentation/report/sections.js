@@ -47,6 +47,7 @@ function fillTrust(distortion) {
 /** The table of all maps with a button each; `choose(rank)` shows one. */
 function fillAlternatives(choose) {
   const body = document.getElementById("alternatives-body");
+  fillEquals(body);
   if (facts.maps.length === 1) {
     const asked = facts.options.search.alternatives > 0;
     body.append(make("p", { class: "hint" }, asked ? "The search found no map that differs from the chosen one."
@@ -60,9 +61,45 @@ function fillAlternatives(choose) {
       choose(rank);
       document.getElementById("match").scrollIntoView({ behavior: "smooth" });
     });
-    return [map.label, readable(map.score), fixed(map.orientation), readable(map.distance), button];
+    const name = map.relation ? make("span", {}, make("b", {}, map.label), make("br"), map.relation) : map.label;
+    const buttons = make("span", { class: "buttons" }, button);
+    if (rank) {
+      const take = make("button", { type: "button", "aria-label": `Take ${map.label}` }, "This one");
+      take.addEventListener("click", () => showWayTo(rank));
+      buttons.append(" ", take);
+    }
+    return [name, readable(map.score), fixed(map.orientation), readable(map.distance), buttons];
   });
-  body.append(makeTable(["Map", "Score (less is better)", "Orientation", "Mean distance to the chosen map", ""], rows, [1, 2, 3]));
+  const head = ["Map, and what it does that the chosen one does not", "Score (less is better)", "Orientation", "Mean distance to the chosen map", ""];
+  body.append(makeTable(head, rows, [1, 2, 3]), make("div", { id: "way-to-map", role: "status", "aria-live": "polite" }));
+}
+
+/** Say which maps are as good as the chosen one. */
+function fillEquals(body) {
+  const equals = facts.equally_good;
+  if (!equals.length) return;
+  const many = equals.length === 1 ? "Another map is" : `${equals.length} other maps are`;
+  body.append(make("p", {}, `${many} about as good as the chosen one, as between the symmetries of a shape. Which is meant, only you can say: `
+    + "look at the colours, then take it below, or click a landmark above."));
+  body.append(make("ul", { id: "equals" }, ...equals.map((each) => (
+    make("li", {}, each.relation, each.alternative === null ? "" : ` (alternative ${each.alternative})`)))));
+  const missing = equals.filter((each) => each.alternative === null).length;
+  if (missing) body.append(commandBox(matchCommand(facts.options.search.orientation, "--alternatives", String(equals.length + facts.maps.length - 1))));
+}
+
+/** Write the commands that make an alternative the result, and that use it as it is. */
+function showWayTo(rank) {
+  const wanted = facts.options.search.orientation;
+  const against = wanted !== "any" && (facts.maps[rank].orientation < 0) !== (wanted === "reversing");
+  const orientation = against ? (wanted === "reversing" ? "preserving" : "reversing") : wanted;
+  const folder = resultFolder();
+  document.getElementById("way-to-map").replaceChildren(
+    make("h3", {}, `Alternative ${rank} as the result`),
+    make("p", { class: "hint" }, "Match again from this map:"),
+    commandBox(matchCommand(orientation, "--start", folder, "--start-map", String(rank), "--out", `${folder}-map-${rank}`)),
+    make("p", { class: "hint" }, "Or use it as it is; transfer, export, evaluate and register take --map:"),
+    commandBox(["clalign", "transfer", folder, "labels", "FILE", "--out", "OUT", "--map", String(rank)].map(shellWord).join(" ")),
+  );
 }
 
 function fillHistory() {

@@ -103,6 +103,19 @@ class ShapeView {
     this.requestDraw();
   }
 
+  /** Show balls at landmarks, a list of { vertex, colour }, in place of those before. */
+  setLandmarks(points) {
+    this.landmarks?.forEach((mark) => this.scene.remove(mark));
+    this.landmarks = points.map(({ vertex, colour }) => {
+      const mark = this.makeMark(colour);
+      mark.visible = true;
+      mark.scale.setScalar(1.3);
+      mark.position.fromArray(this.positions, 3 * vertex);
+      return mark;
+    });
+    this.requestDraw();
+  }
+
   /** Paint every vertex; `rgb` holds 0 to 255 for each channel of each vertex. */
   paint(rgb) {
     const colour = this.surface.geometry.getAttribute("color");

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 class PartSampleRules:
     """What a part and a whole are sampled by.
 
-    places : samples of the whole, among which the matches of the part's samples are looked for.
+    places : samples of the whole, among which the matches of the part's samples are looked for ...
+    fewest : ... and as few as this on meshes that are so large that their rows of distances would take too long.
     samples : of the part.
     margin : samples of the part lie at least so far from its boundary, where balls around them are cut off.
     boundary : samples of a boundary, between which distances on the whole may be shorter than on the part.
@@ -20,10 +21,11 @@ class PartSampleRules:
     """
 
     places: int = 800
+    fewest: int = 200
     samples: int = 60
     margin: float = 0.02
     boundary: int = 120
-    functions: int = 200
+    functions: int = 400
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ class PartGrowthRules:
     anchors: int = 600
     share: float = 0.25
     step: int = 8
-    last: int = 100
+    last: int = 160
     starts: tuple[PartStart, ...] = (PartStart(0.6, 15), PartStart(0.6, 30), PartStart(1.0, 15), PartStart(1.0, 10))
     times: tuple[float, ...] = (0.0004, 0.002)
     torn: float = 9.0

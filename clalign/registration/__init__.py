@@ -1,0 +1,1 @@
+"""The source's connectivity laid on the target's surface, as a match says."""
