@@ -28,6 +28,7 @@ from clalign.matching.metric import choose_metric
 from clalign.matching.start import started
 from clalign.matching.state import MatchState, aligned_count, required, wanted_sign
 from clalign.options import Options
+from clalign.refinement.anchors import anchored, relative_distortion
 from clalign.refinement.landmarks import choose_by_landmarks
 from clalign.refinement.patches import patchwise_maps
 from clalign.refinement.precise import SurfacePoints, closest_points
@@ -103,6 +104,15 @@ def choose(state: MatchState, backend: Backend, report: Report) -> Iterator[Matc
     found, options = required(state.found), state.options
     chosen = choose_grown(state.source, state.target, found, wanted_sign(state), options.rules, backend)
     yield replace(state, found=chosen, rivals_grown=True)
+
+
+def anchor(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
+    """Put distances to anchors beside the eigenfunctions of bodies that are not isometric."""
+    functional, rules = required(state.found).chosen.functional, state.options.rules
+    source, target = state.source, state.target
+    if relative_distortion(source, target, functional, rules, backend) >= rules.anchors.distorted:
+        source, target = anchored(source, target, functional, rules, backend)
+    yield replace(state, source=source, target=target, anchored=True)
 
 
 def refine(state: MatchState, backend: Backend, report: Report) -> Iterator[MatchState]:
@@ -227,6 +237,7 @@ STAGES = (
         ),
         choose,
     ),
+    Stage("choice", lambda state: state.found is not None and not (state.anchored or state.interrupted), anchor),
     Stage("refinement", lambda state: state.found is not None, refine),
     Stage(
         "metric",

@@ -57,6 +57,7 @@ class MatchState:
     landmarks : pairs of vertices that a user knows, or None.
     landmarks_used : the chosen map was chosen by them.
     rivals_grown : the chosen map was chosen anew, among candidates that were grown.
+    anchored : it was decided whether distances to anchors stand beside the eigenfunctions.
     maps : the best maps so far.
     alternatives : maps of the best different candidates.
     start : R before the optimisation, and the signs that were absorbed.
@@ -80,6 +81,7 @@ class MatchState:
     landmarks: Landmarks | None = None
     landmarks_used: bool = False
     rivals_grown: bool = False
+    anchored: bool = False
     maps: PointMaps | None = None
     alternatives: tuple[PointMaps, ...] = ()
     start: StartingRotation | None = None

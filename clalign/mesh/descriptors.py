@@ -78,13 +78,23 @@ def descriptors_of(
             f"descriptors: {x.shape[1]} columns for the source and {y.shape[1]} for the target; column i must be the "
             "same quantity on both"
         )
+    found = beside_each_other(x, y, weight)
+    if found is None:
+        raise InputError("descriptors: all rows are the same, so that they tell no vertex from another")
+    return found if weight > 0 else None
+
+
+def beside_each_other(
+    x: NDArray[np.float64], y: NDArray[np.float64], weight: float
+) -> tuple[PointDescriptors, PointDescriptors] | None:
+    """Return rows (n_x, f) and (n_y, f) as descriptors: centred, and scaled together. None where all are the same."""
     middle = 0.5 * (x.mean(axis=0) + y.mean(axis=0))
     x, y = x - middle, y - middle
     variance = 0.5 * float(np.square(x).sum() / len(x) + np.square(y).sum() / len(y))
     if not variance > 0:
-        raise InputError("descriptors: all rows are the same, so that they tell no vertex from another")
+        return None
     scale = 1.0 / math.sqrt(variance)
-    return (PointDescriptors(scale * x, weight), PointDescriptors(scale * y, weight)) if weight > 0 else None
+    return PointDescriptors(scale * x, weight), PointDescriptors(scale * y, weight)
 
 
 def _rows(name: str, given: Any, mesh: Mesh) -> NDArray[np.float64]:

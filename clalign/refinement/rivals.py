@@ -124,8 +124,11 @@ def choose_grown(
     alike = [number for number in order if failed[number] == failed[order[0]]]
     distinct = different(distances, np.array(alike), rules.search.distinct)
     # Of what was not grown only the ratio of the search's scores is known.
-    searched = over(np.array([each.score for each in every]), found.chosen.score)
-    ratios = np.concatenate([_ratios(energies, (scores / given)[:count], order[0], limits), searched[count:]])
+    exact = float(found.chosen.score < limits.exact)
+    least_energy, least_score = exact * limits.exact_energy, exact * limits.exact_score
+    searched = np.maximum([each.score for each in every], least_score)
+    energies, compared = np.maximum(energies, least_energy), np.maximum(scores / given, least_score)[:count]
+    ratios = np.concatenate([_ratios(energies, compared, order[0], limits), over(searched, searched[0])[count:]])
     chosen, *others = (
         Candidate(functional[each], float(scores[each]), float(orientation[each]), float(distances[order[0], each]))
         for each in distinct

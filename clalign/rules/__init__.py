@@ -16,6 +16,7 @@ from clalign.rules.parts import (
 )
 from clalign.rules.refinement import (
     AlignmentRules,
+    AnchorRules,
     PointwiseKind,
     RefinementRules,
     ZoomOutSchedule,
@@ -40,6 +41,7 @@ from clalign.rules.search import (
 
 __all__ = [
     "AlignmentRules",
+    "AnchorRules",
     "CollectionRules",
     "JudgementRules",
     "LandmarkRules",
@@ -70,6 +72,7 @@ class Rules:
     search: SearchRules = field(default_factory=SearchRules)
     rivals: RivalRules = field(default_factory=RivalRules)
     landmarks: LandmarkRules = field(default_factory=LandmarkRules)
+    anchors: AnchorRules = field(default_factory=AnchorRules)
     refinement: RefinementRules = field(default_factory=RefinementRules)
     alignment: AlignmentRules = field(default_factory=AlignmentRules)
     judgement: JudgementRules = field(default_factory=JudgementRules)

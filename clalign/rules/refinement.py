@@ -9,6 +9,27 @@ PointwiseKind = Literal["curvatures", "signatures", "oriented"]
 
 
 @dataclass(frozen=True)
+class AnchorRules:
+    """Distances to anchors beside the eigenfunctions of bodies that are not isometric.
+
+    distorted : relative distortion of the chosen map from which on they are used: people and animals in other poses are
+        below 0.04, bodies with limbs of another size above.
+    looked_at : farthest-point samples that may be anchors ...
+    returned : ... which the map, there and back, brings this near to where they were, in sqrt(area), ...
+    most : ... so many of them at most ...
+    least : ... and at least; fewer say too little.
+    weight : of the descriptors; see `PointDescriptors`. A fifth left hands of an ape on its feet, a half did not.
+    """
+
+    distorted: float = 0.045
+    looked_at: int = 60
+    returned: float = 0.08
+    most: int = 40
+    least: int = 10
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
 class ZoomOutSchedule:
     """How a functional map is grown by ZoomOut.
 

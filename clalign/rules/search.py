@@ -214,6 +214,8 @@ class RivalRules:
         other under the identity, but not under a symmetry that is as exact, so that the scores cannot be compared.
     rounded : or where even a rival's score is below, as only symmetries of a body reach: five differences of a few per
         cent each, which is what samples round them to. A person's left and right have 1e-6.
+    exact_score, exact_energy : what a map of an exact copy counts as where it has less: what symmetries of a body have
+        between two triangulations of it. That the triangles are the same says nothing of the shape.
     slack : candidates with a score above so many times the least ...
     resolution : ... or so many times this, where that is more, are no rivals: scores of exact maps that samples round.
     most : rivals grown at most.
@@ -227,6 +229,8 @@ class RivalRules:
     doubtful: float = 0.5
     exact: float = 1e-12
     rounded: float = 1e-7
+    exact_score: float = 5e-6
+    exact_energy: float = 0.25
     slack: float = 4.0
     resolution: float = 1e-6
     most: int = 6

@@ -25,11 +25,13 @@ from clalign.mesh.landmarks import landmarks_of
 from clalign.mesh.mesh import mesh_from_arrays
 from clalign.option_values import leaves
 from clalign.options import Options
+from clalign.refinement.anchors import anchored
 from clalign.refinement.rivals import in_doubt
 from clalign.rules import JudgementRules, Rules
-from clalign.search.batch import SampledShape, SamplePair
+from clalign.search.batch import SampledShape, SamplePair, up_sample
 from clalign.search.find import Candidate, SearchResult
-from clalign.search.tips import tip_candidates
+from clalign.search.score import given_factors
+from clalign.search.tips import given_candidates, tip_candidates
 
 CLASSES = [each for each in vars(rules).values() if isinstance(each, type) and dataclasses.is_dataclass(each)]
 
@@ -66,11 +68,15 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
         known = landmarks_of([[0, int(middle.truth.target_of_source[0])]], source.mesh, target.mesh)
         *_, state = use_landmarks(dataclasses.replace(state, landmarks=known), kernels, lambda *_: None)
         _with_landmarks(state, required(state.maps))
+        x, y = anchored(source, target, required(state.found).chosen.functional, options.rules, kernels)
+        beside = SamplePair.of(x, y, kernels)
+        with_given = up_sample(beside, given_candidates(beside, options.rules.search), [options.rules.search.joined])
+        given_factors(beside, with_given, options.rules.search)
         starting_map(RIGID, source.mesh, target.mesh, options.rules.start)
         found = required(state.found)
-        in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), 1.0, Options().rules)
-    # Judged in the result, and read by collections, parts or registrations only.
-    elsewhere = {"JudgementRules", "CollectionRules", "PartRules", "RegistrationRules", "Rules"}
+        in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), 1.0, options.rules)
+    # Judged or named in the result, and read by collections, parts or registrations only.
+    elsewhere = {"JudgementRules", "CollectionRules", "PartRules", "RegistrationRules", "RelationRules", "Rules"}
     expected = {
         f"{each.__name__}.{field.name}"
         for each in CLASSES

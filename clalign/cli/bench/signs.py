@@ -14,7 +14,7 @@ from clalign.cli.match import option_changes
 from clalign.cli.terminal import Terminal
 from clalign.errors import OptionError
 from clalign.options import Options
-from clalign.storage.files import write_text
+from clalign.storage.files import make_folder, write_text
 
 if TYPE_CHECKING:
     from clalign.benchmark.signs import SignsRow
@@ -54,6 +54,7 @@ def run(args: argparse.Namespace) -> int:
         raise OptionError(f"--xi must be numbers with commas between them, got {args.xi!r}") from error
     options = Options.preset(args.preset).replace(option_changes(args))
     terminal = Terminal(quiet=args.quiet, as_json=args.json)
+    make_folder(args.out)
     rows: list[SignsRow] = [
         signs_row(pair, options, exponents, terminal.note, shuffled=shuffled)
         for layout in limited(humans(args.path, args.pairs), args, terminal)
