@@ -7,11 +7,12 @@
  * blocks apart, so that neighbours read neighbouring vectors.
  *
  * A file that includes this one defines FETCH_LEFT(values, first) and FETCH_RIGHT(values, first): the item's LEFTS and RIGHTS
- * elements of the steps from `first` on, zero beyond the matrix. Element q is number ITEM(along, q) of the rows (or columns) and
- * number STEP(along, q) of the steps, for T rows: with `along` neighbouring items take neighbouring steps, else rows. Whichever
- * lie next to each other in memory.
+ * elements of the steps from `first` on, zero beyond the matrix. Element q is number NUMBER(T, along, q) of the T rows, or
+ * columns, and number STEP(T, along, q) of the steps: with `along` neighbouring items take neighbouring steps, else neighbouring
+ * rows, whichever lie next to each other in memory.
  *
- * TM, TN, KT: multiples of 64 both, and a divisor of WG; WG = 256. left, right: local memory of TILE_LEFT and TILE_RIGHT reals.
+ * TM, TN, KT: multiples of 64 both, and a divisor of WG; WG = 256. left, right: two panels each in local memory, which
+ * TILE_LOCAL declares.
  * No kernels of its own; numpy twin: numpy.matmul.
  */
 #define SIDE 16

@@ -61,18 +61,20 @@ part() {
   local left=$((END - SECONDS))
   [ "$left" -gt 5 ] || { echo "$name: no time left" | tee -a "$OUT/summary.txt"; return 1; }
   timeout --kill-after=5 "$((limit < left ? limit : left))" "$@" > "$OUT/$name.log" 2>&1 || status=$?
-  echo "$name: status $status, $((SECONDS - start)) s (124: out of time)" | tee -a "$OUT/summary.txt"
+  local said="status $status"
+  [ "$status" -ne 124 ] || said="out of time"
+  echo "$name: $said, $((SECONDS - start)) s" | tee -a "$OUT/summary.txt"
   tail -n 12 "$OUT/$name.log"
   return "$status"
 }
 
 run() {
-  local wheels=$1 python device=${DEVICE:-gpu} quick=() small=() failed=0
+  local wheels=$1 python device=${DEVICE:-gpu} quick=() small=() sizes=10000,100000 failed=0
   END=$((SECONDS + ${LIMIT:-470}))
   OUT=${OUT:-gpu-check}
   mkdir -p "$OUT"
   : > "$OUT/summary.txt"
-  [ "${SMALL:-0}" = 1 ] && quick=(--quick) && small=(--small)
+  [ "${SMALL:-0}" = 1 ] && quick=(--quick) && small=(--small) && sizes=2000,4000
   python=$(find_python) || return 1
   { date -u; nvidia-smi; lscpu; "$python" --version; } > "$OUT/machine.txt" 2>&1
   find_driver | tee -a "$OUT/summary.txt"
@@ -84,18 +86,25 @@ run() {
   fi
   local packages
   packages=$(mktemp -d)
-  # What is there already, such as PyTorch and its numpy, is kept: the wheels come after it on the path.
   if [ -n "$(ls "$wheels"/*.whl 2> /dev/null)" ]; then
-    part install 60 "$python" -m pip install --quiet --no-index --find-links "$wheels" --target "$packages" "${PACKAGES[@]}"
+    local from=(--quiet --no-index --find-links "$wheels" "${PACKAGES[@]}")
+    # An environment that sees what is installed already, such as PyTorch and its numpy, and takes the rest from the wheels.
+    if "$python" -m venv --system-site-packages --without-pip "$packages/env" &&
+      part install 60 "$python" -m pip --python "$packages/env/bin/python" install "${from[@]}"; then
+      python="$packages/env/bin/python"
+    else
+      part install-beside 60 "$python" -m pip install --target "$packages/beside" "${from[@]}"
+    fi
   fi
-  export PYTHONPATH="$PWD:$packages" OMP_NUM_THREADS=${OMP_NUM_THREADS:-8} POCL_CACHE_DIR="$packages"
-  part doctor 60 "$python" -m clalign.cli.main doctor || failed=1
+  export PYTHONPATH="$PWD:$packages/beside" OMP_NUM_THREADS=${OMP_NUM_THREADS:-8} POCL_CACHE_DIR="$packages"
+  part doctor 90 "$python" -m clalign.cli.main doctor || failed=1
   part targets 120 "$python" tools/gpu_targets.py --device "$device" --out "$OUT/targets.json" "${small[@]}"
   CLALIGN_DEVICE=$device part tests 100 "$python" -m pytest -q -p no:cacheprovider tests/engine/test_gpu_class.py || failed=1
   part kernels 100 "$python" -m clalign.cli.main bench kernels --parts kernels,losses --device "$device" --repeat 3 \
     --out "$OUT/kernels.json" "${quick[@]}"
   part pair 90 "$python" -m clalign.cli.main bench pair --repeat 1 --set "engine.device=$device" --out "$OUT/pair.json"
-  part scale 120 "$python" -m clalign.cli.main bench scale --set "engine.device=$device" --out "$OUT/scale.json" "${quick[@]}"
+  part scale 120 "$python" -m clalign.cli.main bench scale --sizes "$sizes" --set "engine.device=$device" \
+    --out "$OUT/scale.json"
   rm -rf "$packages"
   return "$failed"
 }

@@ -139,29 +139,28 @@ def pyfm_start(source: Mesh, target: Mesh, truth: NDArray[np.int64], size: int =
     )
     known = np.random.default_rng(0).choice(source.n_vertices, 5, replace=False)
     model = FunctionalMapping(one, other)
-    model.preprocess(
-        n_ev=(size, size), n_descr=100, descr_type="WKS", subsample_step=5,
-        landmarks=np.stack([known, truth[known]], axis=1), verbose=False,
-    )  # fmt: skip
-    model.fit(w_descr=1.0, w_lap=1e-2, w_dcomm=1e-1, w_orient=0, verbose=False)
+    marks = np.stack([known, truth[known]], axis=1)
+    model.preprocess(n_descr=100, descr_type="WKS", landmarks=marks, subsample_step=5, k_process=60)
+    model.fit(K=(size, size), w_descr=1.0, w_lap=1e-2, w_dcomm=1e-1, w_orient=0)
     return model.FM, model.mesh1.eigenvectors[:, :size], model.mesh2.eigenvectors[:, :size]
 
 
-def starts(folder: Path) -> None:
-    """Match twenty pairs by search, and from three kinds of starts."""
+def starts(folder: Path, limit: int | None) -> None:
+    """Match twenty pairs, or the first ones of them, by search and from three kinds of starts."""
     options = FAST
     same = [(f"{who}p{a}", f"{who}p{b}") for who in "abcde" for a, b in ((0, 2), (1, 4))]
     across = [(f"{one}p{pose}", f"{other}p{pose}") for pose in (0, 1) for one, other in ("ab", "bc", "cd", "de", "ea")]
     kinds = ("search", "30 % wrong", "pyFM 20 × 20", "rigid")
     right, seconds, errors = (dict.fromkeys(kinds, 0.0) for _ in range(3))
     rigid_pairs = 0
-    for number, names in enumerate([*same, *across]):
+    pairs = [names for both in zip(same, across, strict=True) for names in both][:limit]
+    for number, names in enumerate(pairs):
         _, source, target, truth, _ = human_pair(folder, *names, number, options)
         rng = np.random.default_rng(number)
         wrong = rng.random(len(truth)) < 0.3
         rough = np.where(wrong, rng.integers(0, len(truth), len(truth)), truth)
         given = {"search": None, "30 % wrong": rough, "pyFM 20 × 20": pyfm_start(source, target, truth)}
-        if number >= len(same):
+        if names in across:
             given["rigid"] = "rigid"
             rigid_pairs += 1
         for kind, start in given.items():
@@ -174,7 +173,7 @@ def starts(folder: Path) -> None:
             say(f"    {' '.join(names)} {kind}: {100 * off:.2f}")
     say("| start | right | mean error x 100 | seconds of processor time a pair |\n|---|---:|---:|---:|")
     for kind in kinds:
-        count = rigid_pairs if kind == "rigid" else len(same) + len(across)
+        count = rigid_pairs if kind == "rigid" else len(pairs)
         found, off, spent = right[kind], 100 * errors[kind] / count, seconds[kind] / count
         say(f"| {kind} | {found:.0f} of {count} | {off:.2f} | {spent:.1f} |")
 
@@ -183,6 +182,10 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", choices=("symmetric", "starts"))
     parser.add_argument("humans", type=Path)
+    parser.add_argument("--limit", type=int, help="the first so many pairs of the starts")
     words = parser.parse_args()
     warnings.simplefilter("ignore")
-    {"symmetric": symmetric, "starts": starts}[words.part](words.humans)
+    if words.part == "symmetric":
+        symmetric(words.humans)
+    else:
+        starts(words.humans, words.limit)

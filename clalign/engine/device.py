@@ -103,7 +103,7 @@ class DeviceArray:
 
 
 class Device:
-    """An open device.
+    """An open device; `launches` counts the kernels that were queued.
 
     Parameters
     ----------

@@ -171,13 +171,13 @@ def _equally_good(state: MatchState, relations: list[Relation]) -> tuple[dict[st
 def _said_of_equals(equals: tuple[dict[str, Any], ...]) -> list[str]:
     if not equals:
         return []
+    one = len(equals) == 1
     kept = [str(each["alternative"]) for each in equals if each["alternative"] is not None]
     way = (
         f"start from it with --start RESULT --start-map {' or '.join(kept)}"
         if kept
-        else f"keep them with --alternatives {len(equals)} to see and to take one"
+        else f"keep {'it' if one else 'them'} with --alternatives {len(equals)}"
     )
-    one = len(equals) == 1
     listed = "; ".join(each["relation"] for each in equals)
     return [
         f"{len(equals)} other {'map is' if one else 'maps are'} about as good as the chosen one ({listed}): if another "

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clalign.mesh.mesh import Mesh
-from clalign.mesh.topology import boundary_vertices, graph_components, vertex_areas, vertex_normals
+from clalign.mesh.topology import boundary_vertices, edge_table, graph_components, vertex_areas, vertex_normals
 from clalign.refinement.precise import SurfacePoints
 from clalign.registration.measures import relative_areas
 from clalign.registration.places import Projection, Rim, nearest_corner, some, walked, with_some
@@ -27,6 +27,8 @@ HELD = 1e6
 """Pull that keeps a vertex where it is, against springs of about one."""
 LEAST_PULL = 1e-9
 """Of a vertex that nothing else pulls, so that a piece without any match has a place."""
+SAME_SIZE = 1.25
+"""Up to this factor, or its inverse, both meshes count as of one size."""
 HALVED, TAKEN_BACK = 4, 12
 """Times that moves around new folds are halved, and times after which, taken back one by one, all are."""
 
@@ -73,8 +75,6 @@ class _Fit:
     ) -> None:
         self.source, self.target, self.rules = source, target, rules
         self.project = Projection(target)
-        self.springs = Springs.of(source.vertices, source.faces)
-        self.edge = equilateral_edge(source)
         self.mass = vertex_areas(source.vertices, source.faces) * source.n_vertices
         self.wanted = self.project.positions(matches)
         self.trust = np.ones(source.n_vertices)
@@ -88,6 +88,20 @@ class _Fit:
         self.lying = matched & (rim | ~self.project.at_rim(matches))
         if not self.lying.any():
             self.lying = matched
+        scale = self.size_of_source()
+        self.springs = Springs.of(scale * source.vertices, source.faces)
+        self.edge = scale * equilateral_edge(source)
+
+    def size_of_source(self) -> float:
+        """Return the length in the target's unit of one in the source's: about 1 unless one is a part of the other."""
+        table = edge_table(self.source.faces, self.source.n_vertices)
+        one, other = table.edges[self.lying[table.edges].all(axis=1)].T
+        rest, now = (
+            np.linalg.norm(points[one] - points[other], axis=1) for points in (self.source.vertices, self.wanted)
+        )
+        ratio = float(np.median(now / rest)) if len(one) else 1.0
+        # Rough matches lengthen edges a little, which is no size.
+        return 1.0 if 1.0 / SAME_SIZE < ratio < SAME_SIZE or ratio == 0.0 else ratio
 
     def filled(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions with each part that does not lie on the target moved along with what is around it."""
@@ -171,6 +185,8 @@ class _Fit:
             share[kept] = share[kept] / 2 if number < HALVED else 0.0
             between = start[kept] + share[kept, None] * (end[kept] - start[kept])
             near = walked(between, self.target, nearest_corner(self.target.faces, some(before, kept)))
+            if self.rim is not None and (edge := self.on_rim[kept]).any():
+                near = with_some(near, edge, self.rim.nearest(between[edge]))
             back = some(before, kept)
             after = with_some(after, kept, with_some(near, share[kept] == 0.0, some(back, share[kept] == 0.0)))
         return before

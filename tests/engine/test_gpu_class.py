@@ -68,6 +68,7 @@ def test_solve(check_gpu, rng, m, k):
     check_gpu("solve_right", left @ left.T, rng.normal(size=(m, k)), 1e-4)
 
 
+@pytest.mark.usefixtures("opencl")
 def test_a_factor_larger_than_the_work_group(rng):
     kernels = Kernels(Device(kind="gpu"))
     left = rng.normal(size=(270, 400))
@@ -150,6 +151,7 @@ def test_elementwise(check_gpu, rng):
     check_gpu("band_expand", rng.normal(size=band.count), band)
 
 
+@pytest.mark.usefixtures("opencl")
 def test_neither_class_asks_for_a_device() -> None:
     """Both classes run on one device, and agree but for rounding."""
     rng = np.random.default_rng(3)
@@ -162,6 +164,7 @@ def test_neither_class_asks_for_a_device() -> None:
     np.testing.assert_allclose(*found, atol=1e-5)
 
 
+@pytest.mark.usefixtures("opencl")
 def test_a_gram_matrix_with_itself_is_symmetric(rng):
     """Tiles below the diagonal are mirrored, not computed."""
     kernels = Kernels(Device(kind="gpu"))

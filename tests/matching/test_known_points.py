@@ -10,6 +10,7 @@ import pytest
 import shapes
 from numpy.typing import NDArray
 from prepared import MIDDLE
+from scipy.spatial import ConvexHull
 
 from clalign.correspondence import Correspondence
 from clalign.errors import ClalignWarning
@@ -115,3 +116,37 @@ def test_a_landmark_that_one_direction_contradicts_is_left_aside(
     kept = kept_exactly(maps, marks, off < 0.1)
     assert kept.source_of_target[truth[50]] == far
     assert kept.source_of_target[truth[3]] == 3
+
+
+def _turned_ellipsoid(seed: int) -> Mesh:
+    """An ellipsoid with triangles of its own for each seed."""
+    number = np.arange(600) + 0.5
+    height, angle = 1 - 2 * number / 600, np.pi * (1 + 5**0.5) * number
+    ring = np.sqrt(1 - height**2)
+    points = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
+    points @= np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    faces = ConvexHull(points).simplices
+    inward = np.linalg.det(points[faces]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return mesh_from_arrays(points * [1.0, 0.7, 0.45], faces, f"ellipsoid {seed}")
+
+
+@pytest.mark.filterwarnings("ignore::clalign.errors.ClalignWarning")
+def test_equally_good_maps_are_named_kept_and_started_from(tmp_path: Path) -> None:
+    source, target = _turned_ellipsoid(1), _turned_ellipsoid(2)
+    options = OPTIONS.replace({"geodesics.search_samples": 300, "search.alternatives": 2})
+    result = match(source, target, options)
+    turns = {each["relation"]: each["alternative"] for each in result.equally_good}
+    assert set(turns) == {f"half turn about the {axis} axis" for axis in ("left–right", "vertical", "front–back")}
+    assert sorted(turns.values(), key=str) == [1, 2, None]
+    assert all(each["order"] == 2 and not each["reversing"] for each in result.equally_good)
+    said = [text for text in result.warnings if "about as good as the chosen one" in text]
+    assert len(said) == 1
+    assert "--start RESULT --start-map 1 or 2" in said[0]
+    result.save(tmp_path / "result")
+    loaded = Correspondence.load(tmp_path / "result")
+    assert loaded.equally_good == result.equally_good
+    assert [each.relation for each in loaded.alternatives] == [each.relation for each in result.alternatives]
+    again = match(source, target, options, start=loaded.with_map(1))
+    assert mean_error(again, loaded.alternatives[0].target_of_source) < 0.05
+    assert mean_error(again, loaded.target_of_source) > 0.3

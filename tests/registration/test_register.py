@@ -14,6 +14,7 @@ from clalign.correspondence import Correspondence
 from clalign.errors import InputError
 from clalign.mesh.mesh import mesh_from_arrays
 from clalign.mesh.topology import boundary_edges, boundary_vertices, side_lengths
+from clalign.registration.places import at_vertices
 from clalign.registration.register import Registration, register
 
 ANGLE = 0.5
@@ -139,6 +140,28 @@ def test_what_the_target_lacks_is_filled_smoothly(everything: NDArray[np.bool_],
     error = _errors(found, truth, result)
     assert error[missing].mean() < (0.7 if told else 1.0)
     assert np.delete(error, missing).mean() < 0.35
+
+
+def test_a_template_is_completed_at_the_size_of_a_part(everything: NDArray[np.bool_]) -> None:
+    """Both meshes have unit area, so that a whole is much smaller than its part until it is laid on it."""
+    result, truth = _pair(everything, _above(0.4))
+    missing = np.setdiff1d(result.source.file_index, result.target.file_index)
+    forward = result.target_of_source.copy()
+    forward[missing] = -1
+    # Few eigenfunctions of a part say little within faces.
+    places = at_vertices(result.target, np.maximum(result.source.map_from_file(result.target, forward), 0))
+    known = dataclasses.replace(
+        result,
+        target_of_source=forward,
+        source_faces=result.source.to_file(places.faces, -1),
+        source_barycentric=result.source.to_file(places.barycentric, 0.0),
+    )
+    found = register(known)
+    assert found.quality.flipped == 0.0
+    error = _errors(found, truth, result)
+    assert np.delete(error, missing).mean() < 0.2
+    size, true_size = (np.linalg.norm(np.ptp(points, axis=0)) for points in (found.vertices, truth))
+    assert size == pytest.approx(true_size, rel=0.1)
 
 
 def test_a_map_without_a_match_has_nothing_to_lay() -> None:
