@@ -103,7 +103,8 @@ def over(scores: Any, chosen: float) -> Any:
     A shape matched with itself has the score 0, and so have all its maps if it is symmetric: 0 over 0 is 1 here.
     """
     smallest = np.finfo(np.float64).tiny
-    return np.maximum(scores, smallest) / max(float(chosen), smallest)
+    with np.errstate(over="ignore"):
+        return np.maximum(scores, smallest) / max(float(chosen), smallest)
 
 
 def margin_over(ratios: NDArray[np.float64]) -> float:

@@ -72,7 +72,11 @@ def test_descriptors_are_read_from_files(pair: Given, tmp_path: Path) -> None:
         (["--component", "0"], "expected one number from 1"),
         (["--descriptor-weight", "2"], "--descriptor-weight belongs to --descriptors FILE FILE"),
         (["--descriptors", "none.npy", "none.npy"], "none.npy: cannot be read"),
-        (["--descriptors", "pairs.csv", "pairs.csv"], "descriptors of the source: 1 rows, and a has 162 vertices"),
+        (
+            ["--descriptors", "pairs.csv", "pairs.csv", "--set", "search.method=tree"],
+            "descriptors of the source: 1 rows, and a has 162 vertices",
+        ),
+        (["--descriptors", "pairs.csv", "pairs.csv"], "descriptors have no part in search.method=random"),
     ],
 )
 def test_what_is_wrong_is_one_line(
