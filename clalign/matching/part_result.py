@@ -67,12 +67,7 @@ def part_result(
         orientation=facing,
         distortion=_distortion(chosen, whole, part_is_source=part_is_source),
         alternatives=tuple(
-            Alternative(
-                **vars(file_maps(source, target, _maps(other, part_is_source=part_is_source))),
-                score=other.placement.score,
-                orientation=orientation_of(other.placement, options),
-                distance=float(whole.bounds.upper[other.placement.places, placement.places].mean()),
-            )
+            _alternative(source, target, other, placement, whole, options, part_is_source=part_is_source)
             for other in others
         ),
         timings=seconds,
@@ -118,3 +113,21 @@ def _distortion(found: PartMatch, whole: Whole, *, part_is_source: bool) -> NDAr
         return np.asarray(of_part, dtype=np.float64)
     back = found.part_of_whole
     return np.where(back >= 0, of_part[np.maximum(back, 0)], 0.0)
+
+
+def _alternative(
+    source: Mesh,
+    target: Mesh,
+    other: PartMatch,
+    chosen: Placement,
+    whole: Whole,
+    options: Options,
+    *,
+    part_is_source: bool,
+) -> Alternative:
+    return Alternative(
+        **vars(file_maps(source, target, _maps(other, part_is_source=part_is_source))),
+        score=other.placement.score,
+        orientation=orientation_of(other.placement, options),
+        distance=float(whole.bounds.upper[other.placement.places, chosen.places].mean()),
+    )

@@ -19,7 +19,7 @@ from clalign.options import Options
 from clalign.partial.extent import Side, suspected_part
 from clalign.partial.find import Placement, cover
 from clalign.partial.partiality import Partiality
-from clalign.partial.scale import placed
+from clalign.partial.scale import placed, scanned
 from clalign.partial.surface import SampledSurface, part_surface, whole_surface
 from clalign.partial.whole import Whole
 from clalign.rules.parts import PartRules
@@ -66,11 +66,21 @@ def match_part(
         with clock.stage("search") as report:
             sign = orientation_sign(options)
             same = options.partial.scale == "same"
-            found = placed(prepared, places, factor, sign, rules, same_unit=same, report=lambda part: report(part, ""))
+            found = placed(prepared, places, factor, sign, rules, same_unit=same, report=lambda done: report(done, ""))
         if not (roles.asked or _is_part(found, rules)):
             return None
         with clock.stage("refinement"):
             chosen = cover(found, places, rules, backend)
+        if chosen.grown.stretch > rules.judgement.stretch and not same and found.factor == factor:
+            # Samples could not tell that the scale of the files is wrong; torn edges do.
+            with clock.stage("search") as report:
+                again = scanned(prepared, places, sign, rules, lambda done: report(done, ""))
+            with clock.stage("refinement"):
+                chosen = min(chosen, cover(again, places, rules, backend), key=lambda each: each.grown.stretch)
+        found = chosen.placement
+        if not (roles.asked or _is_part(found, rules)):
+            return None
+        with clock.stage("refinement"):
             rivals = found.rivals(rules.facing.least)[: options.search.alternatives]
             others = [cover(replace(found, chosen=int(each)), places, rules, backend) for each in rivals]
         partiality = Partiality(roles.side, found.factor / factor, found.part.area, roles.asked)

@@ -44,11 +44,19 @@ def placed(
     same_unit : they have.
     report : called with the fraction that is done.
     """
-    scale = rules.scale
-    plausible = scale.least <= factor <= 1.0 / scale.least
+    plausible = rules.scale.least <= factor <= 1.0 / rules.scale.least
     found = place(part, whole, factor, sign, rules) if same_unit or plausible else None
     if found is not None and (same_unit or _explains(found, whole, rules)):
         return found
+    best = scanned(part, whole, sign, rules, report)
+    return best if found is None or _better(best, found) else found
+
+
+def scanned(
+    part: SampledSurface, whole: Whole, sign: float, rules: PartRules, report: Report = lambda fraction: None
+) -> Placement:
+    """Search for a part at all scales that are possible, quickly, and once more at the best of them; see `placed`."""
+    scale = rules.scale
     search = replace(
         rules.search,
         candidates=scale.candidates,
@@ -57,19 +65,17 @@ def placed(
         sweeps=scale.sweeps,
         mirrored=scale.mirrored,
     )
-    quick, best = replace(rules, search=search), None
+    quick, tried = replace(rules, search=search), []
     steps = int(np.ceil(np.log(scale.most / scale.least) / np.log(scale.step))) + 1
     for number, each in enumerate(np.geomspace(scale.most, scale.least, steps)):
         report(number / steps)
-        tried = place(part, whole, float(each), sign, quick)
-        if best is None or (tried.passed, -tried.score) > (best.passed, -best.score):
-            best = tried
-    if best is None:
-        raise RuntimeError("no factor was tried")
-    scanned = corrected(part, whole, best, sign, rules)
-    if found is None or (scanned.passed, -scanned.score) > (found.passed, -found.score):
-        return scanned
-    return found
+        tried.append(place(part, whole, float(each), sign, quick))
+    best = max(tried, key=lambda each: (each.passed, -each.score))
+    return corrected(part, whole, best, sign, rules)
+
+
+def _better(one: Placement, other: Placement) -> bool:
+    return (one.passed, -one.score) > (other.passed, -other.score)
 
 
 def corrected(part: SampledSurface, whole: Whole, found: Placement, sign: float, rules: PartRules) -> Placement:
@@ -80,7 +86,7 @@ def corrected(part: SampledSurface, whole: Whole, found: Placement, sign: float,
         if abs(np.log(change)) < np.log1p(rules.scale.settled):
             break
         tried = place(part, whole, best.factor * change, sign, rules)
-        if (tried.passed, -tried.score) <= (best.passed, -best.score):
+        if not _better(tried, best):
             break
         best = tried
     return best
