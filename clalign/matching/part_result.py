@@ -38,12 +38,11 @@ def part_result(
     whole : with its places.
     chosen, others : the map, and the best different ones.
     """
-    placement, grown = chosen.placement, chosen.grown
-    size, wide = grown.functional.shape
+    placement, rotation = chosen.placement, chosen.grown.functional
+    size, wide = rotation.shape
     bases = _unit_basis(placement, size), whole.surface.basis.head(wide)
     part_is_source = partiality.side == "source"
     # R turns functions of the source towards those of the target (Eq. 20): here Φ R ≈ Ψ on the part.
-    rotation = grown.functional
     if not part_is_source:
         bases, rotation = bases[::-1], rotation.T
     facing = orientation_of(placement, options)
