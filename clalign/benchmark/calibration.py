@@ -157,15 +157,17 @@ def fitted(found: Sequence[Measured]) -> dict[str, Any]:
     """Return the coefficients of `resources.terms`, and the share of the work that is done in parallel.
 
     Coefficients are not negative, and make the sum of squared relative errors least. Times are those on a device. The
-    bundled pair is left out, so that it can show how good they are.
+    bundled pair is left out, so that it can show how good they are; matches that are made to choose among rivals tell
+    only how long that takes, as their peak is another stage's.
     """
     fit = [one for one in found if one.name == "generated"]
     coefficients = {}
     on_device = [one for one in fit if one.device_memory]
-    buffers = [(_terms(one)[resources.DEVICE], one.device_memory) for one in on_device]
+    in_memory = [one for one in fit if one.changes != VARIANTS[-1]]
+    buffers = [(_terms(one)[resources.DEVICE], one.device_memory) for one in in_memory if one.device_memory]
     coefficients[resources.DEVICE] = device = non_negative(buffers)
     host = []
-    for one in fit:
+    for one in in_memory:
         rows = _terms(one)
         beside = {resources.DEVICE: resources.weighted(rows[resources.DEVICE], device)}
         host.append((rows[resources.HOST] | beside, one.memory))

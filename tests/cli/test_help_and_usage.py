@@ -133,7 +133,7 @@ def test_options_are_not_abbreviated() -> None:
         (["--set", "spectrum.basis"], "GROUP.NAME=VALUE"),
         (["--set", "spectrum.bass=4"], "unknown option 'spectrum.bass'; did you mean spectrum.basis?"),
         (["--set", "metric=auto"], "unknown option 'metric'; did you mean spectrum.metric?"),
-        (["--set", "alignmnt.weight=4"], "did you mean alignment.weight?"),
+        (["--set", "alignmnt.weight=4"], "did you mean alignment.weight or"),
         (["--set", "spectrum.foo=4"], "there are basis, refinement"),
         (["--set", "spectrum.basis=many"], "spectrum.basis must be int"),
         (["--metric", "riemann"], "spectrum.metric must be one of"),
