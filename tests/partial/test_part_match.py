@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import warnings
 from functools import cache
@@ -14,6 +13,7 @@ import pytest
 import shapes
 from numpy.typing import NDArray
 from quick import device
+from rules_read import every_rule, rule_classes, watch
 
 import clalign
 from clalign import Options
@@ -132,29 +132,14 @@ def test_source_and_target_may_change_places() -> None:
     assert np.all(other.distortion[other.target_of_source[body().whole.file_index] < 0] == 0)
 
 
-def watch(monkeypatch: pytest.MonkeyPatch, classes: list[type]) -> set[str]:
-    """Return a set that gets "Class.field" of every rule that is read from now on."""
-    seen: set[str] = set()
-    for each in classes:
-        fields = {field.name for field in dataclasses.fields(each)}
-
-        def watched(self: Any, name: str, kind: type = each, fields: set[str] = fields) -> Any:
-            if name in fields:
-                seen.add(f"{kind.__name__}.{name}")
-            return object.__getattribute__(self, name)
-
-        monkeypatch.setattr(each, "__getattribute__", watched)
-    return seen
-
-
 def test_a_part_in_another_unit_is_found_with_its_scale_and_reads_every_rule(monkeypatch: pytest.MonkeyPatch) -> None:
-    classes = [each for each in vars(parts).values() if isinstance(each, type) and dataclasses.is_dataclass(each)]
+    classes = rule_classes(parts)
     read = watch(monkeypatch, classes)
     part, whole, _ = body()
     result = quietly(enlarged(part, 25.4), whole)
     roles(part, part, Options())
     monkeypatch.undo()
-    assert {f"{each.__name__}.{field.name}" for each in classes for field in dataclasses.fields(each)} - read == set()
+    assert every_rule(classes) - read == set()
     assert result.part is not None
     assert result.part.scale == pytest.approx(1 / 25.4, rel=0.1)
     assert errors(result.target_of_source).mean() < 0.02

@@ -6,12 +6,12 @@ import dataclasses
 import warnings
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 import shapes
 from prepared import MIDDLE, PreparedPair
+from rules_read import every_rule, rule_classes, watch
 
 from clalign import rules
 from clalign.engine import Backend
@@ -33,23 +33,13 @@ from clalign.search.find import Candidate, SearchResult
 from clalign.search.score import given_factors
 from clalign.search.tips import given_candidates, tip_candidates
 
-CLASSES = [each for each in vars(rules).values() if isinstance(each, type) and dataclasses.is_dataclass(each)]
+CLASSES = rule_classes(rules)
 
 
 @pytest.fixture
 def read(monkeypatch: pytest.MonkeyPatch) -> Iterator[set[str]]:
     """Collect "Class.field" of every rule that is read."""
-    seen: set[str] = set()
-    for each in CLASSES:
-        fields = {field.name for field in dataclasses.fields(each)}
-
-        def watched(self: Any, name: str, kind: type = each, fields: set[str] = fields) -> Any:
-            if name in fields:
-                seen.add(f"{kind.__name__}.{name}")
-            return object.__getattribute__(self, name)
-
-        monkeypatch.setattr(each, "__getattribute__", watched)
-    yield seen
+    yield watch(monkeypatch, CLASSES)
     monkeypatch.undo()
 
 
@@ -77,12 +67,7 @@ def test_a_match_reads_every_rule(middle: PreparedPair, kernels: Backend, read: 
         in_doubt(dataclasses.replace(found, alternatives=(found.chosen,)), 1.0, options.rules)
     # Judged or named in the result, and read by collections, parts or registrations only.
     elsewhere = {"JudgementRules", "CollectionRules", "PartRules", "RegistrationRules", "RelationRules", "Rules"}
-    expected = {
-        f"{each.__name__}.{field.name}"
-        for each in CLASSES
-        if each.__name__ not in elsewhere
-        for field in dataclasses.fields(each)
-    }
+    expected = every_rule([each for each in CLASSES if each.__name__ not in elsewhere])
     assert expected - read == set()
     assert not {name for name in read if name.startswith("JudgementRules.")}
 
