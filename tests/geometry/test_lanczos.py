@@ -107,7 +107,10 @@ def test_threads_are_given_a_matrix_that_scipy_need_not_sort(
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="tells its memory in another way")
 @pytest.mark.parametrize("threads", [1, 2])
 def test_solving_again_and_again_takes_no_more_memory(threads: int) -> None:
-    """Factors made in one thread and dropped in another are never freed; here they would hold 20 MB a solve."""
+    """Factors made in one thread and dropped in another are never freed; here they would hold 20 MB a solve.
+
+    An allocator may take more once, as it does in a process that has done much else; a leak goes on.
+    """
     surface = analytic.bumpy(5)
     mass, stiffness = operators.lumped_mass(*surface), operators.stiffness(*surface)
 
@@ -119,8 +122,8 @@ def test_solving_again_and_again_takes_no_more_memory(threads: int) -> None:
             spectra.solve(stiffness, mass, 60, threads=threads)
         return resident()
 
-    before = solve_times(3)
-    assert solve_times(12) - before < 12.0
+    levels = [solve_times(times) for times in (3, 6, 6)]
+    assert min(np.diff(levels)) < 12.0
 
 
 INTERRUPTED = """
