@@ -14,6 +14,7 @@ from clalign.partial.coverage import covered
 from clalign.partial.descriptors import ball_profiles, curvature_fields, look_costs
 from clalign.partial.facing import orientation
 from clalign.partial.growth import GrownMap, anchored, back_map, grown
+from clalign.partial.intervals import Intervals
 from clalign.partial.search import Assignment, Assignments, search
 from clalign.partial.surface import SampledSurface
 from clalign.partial.whole import Whole, sample_bounds
@@ -29,6 +30,7 @@ class Placement:
     part : in the unit of the whole.
     factor : by which its lengths were multiplied.
     lower_rows : see `SampledSurface.lower_rows`.
+    bounds : (S, S) of the distances among the samples.
     candidates : best first.
     facing : (B,) orientation of each, 1 as wanted.
     chosen : number of the best one that shows the wanted side, of all if none does.
@@ -38,6 +40,7 @@ class Placement:
     part: SampledSurface
     factor: float
     lower_rows: NDArray[np.float32]
+    bounds: Intervals
     candidates: Assignments
     facing: NDArray[np.float64]
     chosen: int
@@ -98,7 +101,7 @@ def place(part: SampledSurface, whole: Whole, factor: float, sign: float, rules:
     facing = np.abs(facing) if sign == 0 else sign * facing
     passed = np.flatnonzero(facing > rules.facing.least)
     chosen = int(passed[0]) if passed.size else int(facing.argmax())
-    return Placement(scaled, factor, lower_rows, found, facing, chosen, bool(passed.size))
+    return Placement(scaled, factor, lower_rows, bounds, found, facing, chosen, bool(passed.size))
 
 
 def cover(placement: Placement, whole: Whole, rules: PartRules, backend: Backend = HOST) -> PartMatch:

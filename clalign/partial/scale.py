@@ -9,7 +9,7 @@ import numpy as np
 
 from clalign.partial.find import Placement, place
 from clalign.partial.surface import SampledSurface
-from clalign.partial.whole import Whole, sample_bounds
+from clalign.partial.whole import Whole
 from clalign.rules.parts import PartRules
 
 Report = Callable[[float], None]
@@ -17,7 +17,7 @@ Report = Callable[[float], None]
 
 def measured_factor(placement: Placement, whole: Whole, rules: PartRules) -> float:
     """Return distances on the whole over those on the part, by least squares where the boundary has changed none."""
-    bounds = sample_bounds(placement.part, placement.lower_rows)
+    bounds = placement.bounds
     trusted = (bounds.upper - bounds.lower < rules.facing.slack) & (bounds.upper > rules.facing.near)
     there = whole.bounds.upper[np.ix_(placement.places, placement.places)][trusted].astype(np.float64)
     here = bounds.upper[trusted].astype(np.float64)

@@ -133,7 +133,8 @@ def whole_surface(
     count = affordable_samples(mesh.n_vertices, rules.samples.places, rules.samples.fewest)
     geodesics = stored_geodesics(mesh, count, count, sampler, cache)
     front = FastMarching(mesh.vertices, mesh.faces, mesh.name)
-    return _surface(mesh, front, geodesics.samples, geodesics.rows, rules.samples.functions, rules, cache)
+    sampled = geodesics.samples, geodesics.rows
+    return _surface(mesh, front, sampled, _to_boundary(mesh, front), rules.samples.functions, rules, cache)
 
 
 def part_surface(
@@ -164,14 +165,15 @@ def part_surface(
         depth = -np.linalg.norm(mesh.vertices - mass @ mesh.vertices / mass.sum(), axis=1)
     deepest = int(np.where(inside, depth, -np.inf).argmax())
     first = int(np.where(inside, front.row(deepest), -1.0).argmax())
-    return _surface(mesh, front, *_farthest(front, inside, first, rules.samples.samples), functions, rules, cache)
+    sampled = _farthest(front, inside, first, rules.samples.samples)
+    return _surface(mesh, front, sampled, to_boundary, functions, rules, cache)
 
 
 def _surface(
     mesh: Mesh,
     front: FastMarching,
-    samples: NDArray[np.int64],
-    rows: NDArray[np.float32],
+    sampled: tuple[NDArray[np.int64], NDArray[np.float32]],
+    to_boundary: NDArray[np.float64],
     functions: int,
     rules: PartRules,
     cache: ShapeCache | None,
@@ -188,9 +190,9 @@ def _surface(
         stiffness=weights,
         curvature=np.clip(curvature, -limit, limit),
         basis=stored_basis(mesh, weights, mass, functions, cache),
-        to_boundary=_to_boundary(mesh, front),
-        samples=samples,
-        rows=rows,
+        to_boundary=to_boundary,
+        samples=sampled[0],
+        rows=sampled[1],
         rim=_rim(front, vertices, on_boundary, rules.samples.boundary),
     )
 
